@@ -1,0 +1,1 @@
+"""What an episode means: observations, estimators, tunings and their review."""

@@ -1,0 +1,31 @@
+"""Iterative residual tuning: algorithm 1 of Allevato et al. 2019."""
+
+from __future__ import annotations
+
+from analysis.estimators.base import Problem, Step, Trace
+from analysis.tunenet.network import Model
+
+
+class TuneNet:
+    """Adds the network's estimate of the parameter residual, K times (eq. 5), within bounds.
+
+    Resample is part of the observations: both functions give them on the same axis.
+    """
+
+    name = "tunenet"
+
+    def __init__(self, model: Model) -> None:
+        self._model = model
+
+    def estimate(self, problem: Problem, iterations: int) -> Trace:
+        """One rollout an iteration; see `Estimator.estimate`."""
+        values = problem.initial
+        steps: list[Step] = []
+        for _ in range(iterations):
+            spent = problem.rollouts
+            look = problem.look(values)
+            steps.append(Step(values, spent, look))
+            residual = self._model(look.observation.values[None], problem.target.values[None])[0]
+            values = problem.clamp(values + residual)
+        steps.append(Step(values, problem.rollouts))
+        return Trace(tuple(steps))

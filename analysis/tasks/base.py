@@ -1,0 +1,99 @@
+"""What binds a kind of episode to its simulator, its observations and its weights."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.estimators.base import Problem, Step
+from analysis.observe.quality import Check
+from analysis.tunenet.checkpoint import Purpose
+from analysis.tunenet.network import Network
+from analysis.tunenet.pairs import PairSet
+from analysis.tunenet.training import Recipe
+from recorders.simulators.base import Parameter
+from tunenet_logs.episode import Episode
+from tunenet_logs.progress import Progress
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Which part of a log to look at: a topic, and seconds from the log's first sample on."""
+
+    topic: str | None = None
+    start_s: float | None = None
+    end_s: float | None = None
+
+
+@dataclass(frozen=True)
+class CrossCheck:
+    """A second opinion that shares nothing with the estimate but the log."""
+
+    method: str
+    value: float
+    agrees: bool
+
+
+@dataclass(frozen=True)
+class Preset:
+    """One way of doing a task.
+
+    Attributes:
+        purpose: what its weights are for.
+        network: its architecture.
+        recipe: how it is trained.
+        make_pairs: (pairs wanted or None, seed, processes or None, progress) -> training data.
+        physical: whether its value is the object's own, or a number of this engine's settings.
+    """
+
+    purpose: Purpose
+    network: Network
+    recipe: Recipe
+    make_pairs: Callable[[int | None, int, int | None, Progress], PairSet]
+    physical: bool
+
+
+class Task(Protocol):
+    """A kind of experiment. What `find` returns is for the task's own other methods."""
+
+    @property
+    def name(self) -> str:
+        """What logs and commands call it."""
+        ...
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """What it estimates."""
+        ...
+
+    @property
+    def presets(self) -> Mapping[str, Preset]:
+        """By name; "default" is one of them."""
+        ...
+
+    def find(self, episode: Episode, selection: Selection, preset: str) -> Any:
+        """What is to be matched.
+
+        Raises:
+            NotFoundError: the episode does not show the experiment; the message says why.
+            UsageError: the selection fits nothing in the episode.
+        """
+        ...
+
+    def problem(self, found: Any, initial: Array) -> Problem:
+        """The estimation problem for it."""
+        ...
+
+    def checks(self, found: Any, last: Step) -> tuple[Check, ...]:
+        """What speaks for and against the last iterate."""
+        ...
+
+    def cross_check(self, found: Any, estimate: Array) -> CrossCheck | None:
+        """A second opinion; None where the log allows none."""
+        ...

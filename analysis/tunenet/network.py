@@ -1,0 +1,169 @@
+"""The two networks h(o_P, o_T): the paper's, and the antisymmetric one.
+
+Each forward pass is written once, with operations that NumPy arrays and torch tensors share: torch
+trains it, NumPy applies it, and tuning a log never waits for torch to load.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Weights = Mapping[str, Any]
+"""Arrays or tensors by name."""
+
+
+class Network(Protocol):
+    """An architecture: the shapes of its weights, and h."""
+
+    @property
+    def kind(self) -> str:
+        """What a checkpoint calls it."""
+        ...
+
+    def shapes(self, inputs: int, outputs: int) -> dict[str, tuple[int, ...]]:
+        """Shapes of the weights for observations of `inputs` values and `outputs` parameters."""
+        ...
+
+    def residual(self, weights: Weights, proposed: Any, target: Any) -> Any:
+        """h(o_P, o_T), shape (B, outputs), of two batches of shape (B, inputs)."""
+        ...
+
+
+class PaperNetwork:
+    """The paper's: a layer of 32 for each observation, concatenated, 32 more, tanh."""
+
+    kind = "paper"
+    width = 32
+
+    def shapes(self, inputs: int, outputs: int) -> dict[str, tuple[int, ...]]:
+        """See `Network.shapes`."""
+        return {
+            **_layer("proposed", inputs, self.width),
+            **_layer("target", inputs, self.width),
+            **_layer("joint", 2 * self.width, self.width),
+            **_layer("out", self.width, outputs),
+        }
+
+    def residual(self, weights: Weights, proposed: Any, target: Any) -> Any:
+        """See `Network.residual`."""
+        of_proposed = _relu(_linear(weights, "proposed", proposed))
+        of_target = _relu(_linear(weights, "target", target))
+        joint = _relu(_joint(weights, "joint", of_proposed, of_target))
+        return _tanh(_linear(weights, "out", joint))
+
+
+class AntisymmetricNetwork:
+    """h(o_P, o_T) = (g(o_P, o_T) - g(o_T, o_P)) / 2: exactly 0 where the two are equal.
+
+    The paper's network has a bias at its fixed point, about as large as its whole error. This one
+    cannot have any, so its iterations end at the target. g shares one first layer for both sides
+    and has no tanh.
+    """
+
+    kind = "antisymmetric"
+    width = 64
+
+    def shapes(self, inputs: int, outputs: int) -> dict[str, tuple[int, ...]]:
+        """See `Network.shapes`."""
+        return {
+            **_layer("curve", inputs, self.width),
+            **_layer("joint", 2 * self.width, self.width),
+            **_layer("out", self.width, outputs),
+        }
+
+    def residual(self, weights: Weights, proposed: Any, target: Any) -> Any:
+        """See `Network.residual`."""
+        of_proposed = _relu(_linear(weights, "curve", proposed))
+        of_target = _relu(_linear(weights, "curve", target))
+        forth = _relu(_joint(weights, "joint", of_proposed, of_target))
+        back = _relu(_joint(weights, "joint", of_target, of_proposed))
+        return (_linear(weights, "out", forth) - _linear(weights, "out", back)) / 2
+
+
+NETWORKS: dict[str, Network] = {
+    network.kind: network for network in (PaperNetwork(), AntisymmetricNetwork())
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Scaling:
+    """What a network sees of an observation, and what its outputs mean.
+
+    Inputs are (values - offset) * gain; residuals are outputs * gain + offset. A value that either
+    observation lacks is 0 in both.
+    """
+
+    input_offset: Array
+    input_gain: Array
+    output_offset: Array
+    output_gain: Array
+
+    def inputs(self, proposed: Array, target: Array) -> tuple[Array, Array]:
+        """Two batches of observations, shape (B, L, C), as inputs of shape (B, L * C)."""
+        flat_p = proposed.reshape(len(proposed), -1)
+        flat_t = target.reshape(len(target), -1)
+        seen = np.isfinite(flat_p) & np.isfinite(flat_t)
+        scaled_p = np.where(seen, (flat_p - self.input_offset) * self.input_gain, 0.0)
+        scaled_t = np.where(seen, (flat_t - self.input_offset) * self.input_gain, 0.0)
+        return scaled_p, scaled_t
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A trained network: estimates the residual of the P parameters from two observations.
+
+    Attributes:
+        digest: SHA-256 of everything in it, hexadecimal.
+    """
+
+    network: Network
+    weights: Mapping[str, Array]
+    scaling: Scaling
+    digest: str = ""
+
+    def __call__(self, proposed: Array, target: Array) -> Array:
+        """zeta_T - zeta_P, shape (B, P), of observations of shape (B, L, C)."""
+        inputs = self.scaling.inputs(proposed, target)
+        outputs = self.network.residual(self.weights, *inputs)
+        return outputs * self.scaling.output_gain + self.scaling.output_offset
+
+
+def initial_weights(
+    network: Network, inputs: int, outputs: int, rng: np.random.Generator
+) -> dict[str, Array]:
+    """Uniform within 1 / sqrt(fan-in), as torch.nn.Linear starts."""
+    shapes = network.shapes(inputs, outputs)
+    weights: dict[str, Array] = {}
+    for name, shape in shapes.items():
+        fan_in = shapes[f"{name.split('.')[0]}.weight"][0]
+        weights[name] = rng.uniform(-1.0, 1.0, shape) / np.sqrt(fan_in)
+    return weights
+
+
+def _layer(name: str, inputs: int, outputs: int) -> dict[str, tuple[int, ...]]:
+    return {f"{name}.weight": (inputs, outputs), f"{name}.bias": (outputs,)}
+
+
+def _linear(weights: Weights, name: str, values: Any) -> Any:
+    return values @ weights[f"{name}.weight"] + weights[f"{name}.bias"]
+
+
+def _joint(weights: Weights, name: str, first: Any, second: Any) -> Any:
+    """A linear layer on two inputs side by side."""
+    matrix = weights[f"{name}.weight"]
+    half = matrix.shape[0] // 2
+    return first @ matrix[:half] + second @ matrix[half:] + weights[f"{name}.bias"]
+
+
+def _relu(values: Any) -> Any:
+    return values.clip(min=0)
+
+
+def _tanh(values: Any) -> Any:
+    return np.tanh(values) if isinstance(values, np.ndarray) else values.tanh()

@@ -1,0 +1,148 @@
+"""Train h on pairs (eq. 4 of the paper), by the paper's recipes or ours."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from analysis.tunenet.network import Model, Network, Scaling, initial_weights
+from analysis.tunenet.pairs import PairSet
+from tunenet_logs.progress import Progress
+
+if TYPE_CHECKING:
+    import torch
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How a network is trained.
+
+    Attributes:
+        optimizer: "sgd" (no momentum) or "adamw" (one cycle of the learning rate).
+        learning_rate: at first ("sgd") or at most ("adamw").
+        decay: the rate is multiplied by this every `decay_epochs` ("sgd").
+        weight_decay: L2 constant.
+        loss: "squared", "norm" (unsquared, the paper's eq. 4), or "relative": squared, over
+            (|residual| + 0.1)^2, so that small residuals count as they do in the last steps.
+        scaling: "raw", "unit" (inputs and outputs to [0, 1]) or "standard".
+        noise: up to this standard deviation is added to o_T, in the observation's unit.
+        cut_share: share of pairs that end early, as a short recording does.
+    """
+
+    optimizer: str
+    learning_rate: float
+    weight_decay: float
+    loss: str
+    scaling: str
+    epochs: int
+    batch: int
+    decay: float = 1.0
+    decay_epochs: int = 1
+    noise: float = 0.0
+    cut_share: float = 0.0
+
+
+def train(
+    network: Network, pairs: PairSet, recipe: Recipe, seed: int, progress: Progress
+) -> Model:
+    """Train on the CPU or wherever torch puts tensors by default.
+
+    The same seed on the same machine gives the same weights.
+    """
+    import torch
+
+    rng = np.random.default_rng(seed)
+    scaling = _scaling(pairs, recipe.scaling)
+    bank = (pairs.observations.reshape(len(pairs.values), -1) - scaling.input_offset) * (
+        scaling.input_gain
+    )
+    noise = float(np.mean(recipe.noise * scaling.input_gain))
+    wanted = (pairs.residuals - scaling.output_offset) / scaling.output_gain
+    outputs = wanted.shape[1]
+    weights = {
+        name: torch.tensor(value, dtype=torch.float32, requires_grad=True)
+        for name, value in initial_weights(network, bank.shape[1], outputs, rng).items()
+    }
+    inputs = torch.tensor(bank, dtype=torch.float32)
+    residuals = torch.tensor(wanted, dtype=torch.float32)
+    proposed, target = torch.from_numpy(pairs.proposed), torch.from_numpy(pairs.target)
+    batches = int(np.ceil(len(proposed) / recipe.batch))
+    optimizer, schedule = _optimizer(recipe, list(weights.values()), batches)
+    generator = torch.Generator().manual_seed(seed)
+    with progress.bar(recipe.epochs, "training", "epoch") as bar:
+        for _ in range(recipe.epochs):
+            order = torch.randperm(len(proposed), generator=generator)
+            for chosen in order.split(recipe.batch):
+                o_p, o_t = inputs[proposed[chosen]], inputs[target[chosen]]
+                o_p, o_t = _augment(o_p, o_t, noise, recipe.cut_share, generator)
+                found = network.residual(weights, o_p, o_t)
+                loss = _loss(recipe.loss, found, residuals[chosen])
+                optimizer.zero_grad()
+                loss.backward()
+                optimizer.step()
+                if recipe.optimizer == "adamw":
+                    schedule.step()
+            if recipe.optimizer == "sgd":
+                schedule.step()
+            bar.update(1)
+    trained = {name: value.detach().numpy().astype(np.float64) for name, value in weights.items()}
+    return Model(network, trained, scaling)
+
+
+def _scaling(pairs: PairSet, how: str) -> Scaling:
+    flat = pairs.observations.reshape(len(pairs.values), -1)
+    none, one = np.zeros(1), np.ones(1)
+    if how == "raw":
+        return Scaling(none, one, none, one)
+    if how == "unit":
+        low, high = np.array([flat.min()]), np.array([flat.max()])
+        least, most = pairs.residuals.min(axis=0), pairs.residuals.max(axis=0)
+        return Scaling(low, 1 / (high - low), least, most - least)
+    spread = flat.std(axis=0).mean()
+    return Scaling(flat.mean(axis=0), np.array([1 / spread]), none, one)
+
+
+def _optimizer(recipe: Recipe, weights: list[torch.Tensor], batches: int) -> tuple[Any, Any]:
+    import torch
+    from torch.optim.lr_scheduler import OneCycleLR, StepLR
+
+    settings: dict[str, Any] = {"lr": recipe.learning_rate, "weight_decay": recipe.weight_decay}
+    if recipe.optimizer == "sgd":
+        sgd = torch.optim.SGD(weights, **settings)
+        return sgd, StepLR(sgd, step_size=recipe.decay_epochs, gamma=recipe.decay)
+    adamw = torch.optim.AdamW(weights, **settings)
+    steps = recipe.epochs * batches
+    return adamw, OneCycleLR(adamw, max_lr=recipe.learning_rate, total_steps=steps)
+
+
+def _augment(
+    proposed: torch.Tensor,
+    target: torch.Tensor,
+    noise: float,
+    cut_share: float,
+    generator: torch.Generator,
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Noise on the target, and pairs that end early: what is not seen is 0 in both."""
+    import torch
+
+    count, length = target.shape
+    if noise:
+        sd = noise * torch.rand(count, 1, generator=generator) ** 2
+        target = target + sd * torch.randn(count, length, generator=generator)
+    if cut_share:
+        cut = torch.rand(count, 1, generator=generator) < cut_share
+        end = 0.25 + 0.75 * torch.rand(count, 1, generator=generator)
+        seen = ~cut | (torch.arange(length) < end * length)
+        proposed, target = proposed * seen, target * seen
+    return proposed, target
+
+
+def _loss(kind: str, found: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
+    off = found - wanted
+    if kind == "squared":
+        return (off**2).mean()
+    if kind == "norm":
+        return off.norm(dim=1).mean()
+    return ((off / (wanted.abs() + 0.1)) ** 2).mean()

@@ -1,0 +1,1 @@
+"""Where episodes come from: simulators today, sensors next to them."""

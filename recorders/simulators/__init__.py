@@ -1,0 +1,1 @@
+"""Episode sources that can be asked again with other parameters."""

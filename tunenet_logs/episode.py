@@ -1,0 +1,210 @@
+"""What every other room speaks: signals, frames, and the episode that holds them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+FORMAT_VERSION = "1"
+
+
+@dataclass(frozen=True, eq=False)
+class Signal:
+    """A sampled quantity.
+
+    Attributes:
+        name: topic it came from, or the name it goes by.
+        stamps_ns: acquisition times [ns], int64, shape (T,), strictly increasing.
+        values: float64, shape (T, C), read-only; NaN only where a sample is missing.
+        columns: the C names of the channels.
+        unit: unit of all values ("m", "rad", "N·m", "px", "1").
+
+    Raises:
+        ValueError: shapes disagree, or the stamps do not increase.
+    """
+
+    name: str
+    stamps_ns: NDArray[np.int64]
+    values: NDArray[np.float64]
+    columns: tuple[str, ...]
+    unit: str
+
+    def __post_init__(self) -> None:
+        stamps = _read_only(np.asarray(self.stamps_ns, dtype=np.int64))
+        values = _read_only(np.asarray(self.values, dtype=np.float64))
+        expected = (len(stamps), len(self.columns))
+        if stamps.ndim != 1 or values.shape != expected:
+            raise ValueError(f"{self.name}: values have shape {values.shape}, expected {expected}")
+        if np.any(np.diff(stamps) <= 0):
+            raise ValueError(f"{self.name}: stamps do not increase strictly")
+        object.__setattr__(self, "stamps_ns", stamps)
+        object.__setattr__(self, "values", values)
+
+    @property
+    def seconds(self) -> NDArray[np.float64]:
+        """Times since the first sample [s], shape (T,)."""
+        return (self.stamps_ns - self.stamps_ns[:1]) * 1e-9
+
+    @property
+    def rate_hz(self) -> float:
+        """Median sampling rate [Hz]; 0 with fewer than two samples."""
+        if len(self.stamps_ns) < 2:
+            return 0.0
+        return 1e9 / float(np.median(np.diff(self.stamps_ns)))
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One image as it was recorded: never decoded and encoded again on its way.
+
+    Attributes:
+        stamp_ns: acquisition time [ns].
+        encoding: format of `data`, as in sensor_msgs/CompressedImage ("jpeg", "png").
+        data: the encoded bytes.
+    """
+
+    stamp_ns: int
+    encoding: str
+    data: bytes
+
+    def decode(self) -> NDArray[np.uint8]:
+        """RGB picture, uint8, shape (H, W, 3).
+
+        Raises:
+            LogError: damaged, of an unknown encoding, or larger than any camera's picture.
+        """
+        from tunenet_logs.images import decode_image
+
+        return decode_image(self.data, self.encoding)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodeInfo:
+    """What is known about an episode beside its samples.
+
+    Attributes:
+        kind: "drop", "payload", "bounce-shot", or "" where unknown.
+        source: what recorded it, in words.
+        preset: simulator preset it was recorded with, or "".
+        rig: known measures of the set-up: `ball_diameter_m`, `drop_height_m`, ...
+        truth: parameters that a simulator used. Never an input of an estimator.
+        counts: what the recorder counted: `captured`, `written`, `dropped`.
+        notes: anything else in words: `seed`, why a recording ended, ...
+    """
+
+    kind: str = ""
+    source: str = ""
+    preset: str = ""
+    rig: Mapping[str, float] = field(default_factory=dict)
+    truth: Mapping[str, float] = field(default_factory=dict)
+    counts: Mapping[str, int] = field(default_factory=dict)
+    notes: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in ("rig", "truth", "counts", "notes"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+
+    def to_strings(self) -> dict[str, str]:
+        """The record that a log holds: flat, every value a string."""
+        record = {"version": FORMAT_VERSION, "kind": self.kind, "source": self.source}
+        record["preset"] = self.preset
+        for group in ("rig", "truth", "counts", "notes"):
+            for key, value in getattr(self, group).items():
+                record[f"{group}.{key}"] = value if isinstance(value, str) else repr(value)
+        return record
+
+    @classmethod
+    def from_strings(cls, record: Mapping[str, str]) -> EpisodeInfo:
+        """Read the record back; what is not understood or not finite is left out."""
+        groups: dict[str, dict[str, Any]] = {"rig": {}, "truth": {}, "counts": {}, "notes": {}}
+        for key, text in record.items():
+            group, _, name = key.partition(".")
+            if group in ("rig", "truth") and (number := _finite(text)) is not None:
+                groups[group][name] = number
+            elif group == "counts" and text.isascii() and text.isdecimal() and len(text) < 19:
+                groups[group][name] = int(text)
+            elif group == "notes":
+                groups[group][name] = text
+        plain = {name: record.get(name, "") for name in ("kind", "source", "preset")}
+        return cls(**plain, **groups)
+
+    def counted(self, **counts: int) -> EpisodeInfo:
+        """The same with these counts."""
+        return replace(self, counts={**self.counts, **counts})
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One channel of a log, as `tunenet-logs info` shows it.
+
+    Attributes:
+        skipped: why its messages are not used; None where they are.
+    """
+
+    topic: str
+    type_name: str
+    encoding: str
+    messages: int
+    first_ns: int
+    last_ns: int
+    skipped: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """One recorded experiment.
+
+    Attributes:
+        info: what is known beside the samples.
+        signals: by name (a log's topic).
+        channels: every channel of the log, those that were skipped too.
+        warnings: what was lost, repaired or doubtful on the way, in words.
+        open_frames: opens a fresh iterator over the frames of a topic.
+    """
+
+    info: EpisodeInfo
+    signals: Mapping[str, Signal]
+    channels: tuple[Channel, ...] = ()
+    warnings: tuple[str, ...] = ()
+    open_frames: Callable[[], Iterator[Frame]] | None = None
+
+    def frames(self) -> Iterator[Frame]:
+        """The images in the order of the log, one at a time."""
+        return iter(()) if self.open_frames is None else self.open_frames()
+
+    def to_pandas(self) -> pd.DataFrame:
+        """All signals in one table: index `stamp_ns`, columns (signal, column)."""
+        import pandas as pd
+
+        tables = {
+            name: pd.DataFrame(
+                signal.values,
+                index=pd.Index(signal.stamps_ns, name="stamp_ns"),
+                columns=list(signal.columns),
+            )
+            for name, signal in self.signals.items()
+        }
+        return pd.concat(tables, axis=1) if tables else pd.DataFrame()
+
+
+def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+    copy = array.copy()
+    copy.flags.writeable = False
+    return copy
+
+
+def _finite(text: str) -> float | None:
+    try:
+        number = float(text)
+    except ValueError:
+        return None
+    return number if math.isfinite(number) else None

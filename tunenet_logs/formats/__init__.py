@@ -1,0 +1,1 @@
+"""One file per container or message encoding that logs come in."""

@@ -1,0 +1,95 @@
+"""The ROS 2 messages that logs hold: definition text, encoding, decoding.
+
+Types and CDR serialization come from rosbags; the definitions are those of ROS 2 Humble, which the
+later distributions share for every type used here.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+POSE = "geometry_msgs/msg/PoseStamped"
+COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
+
+_PARSERS = {"ros2msg": get_types_from_msg, "ros2idl": get_types_from_idl}
+
+
+@cache
+def typestore() -> Typestore:
+    """The store of message types that this project writes and reads."""
+    return get_typestore(Stores.ROS2_HUMBLE)
+
+
+@cache
+def definition(type_name: str) -> str:
+    """The `ros2msg` text of a type with all types that it contains."""
+    return typestore().generate_msgdef(type_name, ros_version=2)[0]
+
+
+def same_definition(type_name: str, schema_encoding: str, text: str) -> bool:
+    """Whether a log's own schema lays the type out as ours does.
+
+    Raises:
+        Exception: whatever the parser makes of a damaged text; the reader turns it into a reason.
+    """
+    theirs = _PARSERS[schema_encoding](text, type_name)
+    ours = typestore().fielddefs
+    return type_name in theirs and all(
+        name in ours and [field for field in ours[name][1]] == [field for field in parsed[1]]
+        for name, parsed in theirs.items()
+    )
+
+
+def _type(name: str) -> Any:
+    return typestore().types[name]
+
+
+def header(stamp_ns: int, frame_id: str) -> Any:
+    """A std_msgs/Header. `stamp_ns` may lie before the epoch."""
+    seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
+    stamp = _type("builtin_interfaces/msg/Time")(sec=seconds, nanosec=nanoseconds)
+    return _type("std_msgs/msg/Header")(stamp=stamp, frame_id=frame_id)
+
+
+def pose(stamp_ns: int, frame_id: str, position_m: NDArray[np.float64]) -> Any:
+    """A PoseStamped without rotation at `position_m`, shape (3,)."""
+    x, y, z = (float(value) for value in position_m)
+    placed = _type("geometry_msgs/msg/Pose")(
+        position=_type("geometry_msgs/msg/Point")(x=x, y=y, z=z),
+        orientation=_type("geometry_msgs/msg/Quaternion")(x=0.0, y=0.0, z=0.0, w=1.0),
+    )
+    return _type(POSE)(header=header(stamp_ns, frame_id), pose=placed)
+
+
+def compressed_image(stamp_ns: int, frame_id: str, encoding: str, data: bytes) -> Any:
+    """A CompressedImage that holds `data` untouched."""
+    pixels = np.frombuffer(data, np.uint8)
+    return _type(COMPRESSED_IMAGE)(
+        header=header(stamp_ns, frame_id), format=encoding, data=pixels
+    )
+
+
+def encode(message: Any, type_name: str) -> bytes:
+    """Little-endian CDR."""
+    return bytes(typestore().serialize_cdr(message, type_name, little_endian=True))
+
+
+def decode(data: bytes, type_name: str) -> Any:
+    """CDR of either byte order to a message.
+
+    Raises:
+        SerdeError: `data` is not a message of that type.
+    """
+    return typestore().deserialize_cdr(data, type_name)
+
+
+def stamp_ns(message: Any) -> int:
+    """`header.stamp` [ns]."""
+    stamp = message.header.stamp
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)

@@ -1,0 +1,39 @@
+"""Progress bars on standard error: only on a terminal, and only unless --quiet."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Protocol
+
+
+class Bar(Protocol):
+    """What work in progress reports to."""
+
+    def update(self, done: int) -> object:
+        """So many units more are done."""
+        ...
+
+
+class _NoBar:
+    def update(self, done: int) -> None:
+        """Show nothing."""
+
+
+class Progress:
+    """Makes bars, or stand-ins that show nothing."""
+
+    def __init__(self, *, quiet: bool = False) -> None:
+        self._shown = not quiet and sys.stderr.isatty()
+
+    @contextmanager
+    def bar(self, total: int, what: str, unit: str) -> Iterator[Bar]:
+        """A bar over `total` units of work."""
+        if not self._shown:
+            yield _NoBar()
+            return
+        from tqdm import tqdm
+
+        with tqdm(total=total, desc=what, unit=unit, file=sys.stderr, leave=False) as bar:
+            yield bar

@@ -1,0 +1,43 @@
+"""Which of a log's clocks to believe, and how to put its samples in order."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+_MAX_REVERSALS = 0.1
+
+
+def order_samples(
+    header_ns: NDArray[np.int64], log_ns: NDArray[np.int64]
+) -> tuple[NDArray[np.intp], NDArray[np.int64], list[str]]:
+    """Choose stamps and sort.
+
+    `header.stamp` is used where it is set and, but for a few samples, monotonic; else `log_time`.
+
+    Args:
+        header_ns: acquisition stamps of T messages in file order [ns]; 0 where not set.
+        log_ns: receipt stamps of the same messages [ns].
+
+    Returns:
+        Indices of the samples to keep, their stamps (strictly increasing), and what was repaired.
+    """
+    notes: list[str] = []
+    stamps = header_ns
+    unset = int(np.count_nonzero(header_ns == 0))
+    backwards = int(np.count_nonzero(np.diff(header_ns) < 0))
+    if unset > 1:
+        stamps = log_ns
+    elif backwards > _MAX_REVERSALS * len(header_ns):
+        stamps = log_ns
+        notes.append("header stamps run backwards, so the log's own times are used")
+    order = np.argsort(stamps, kind="stable")
+    reversals = int(np.count_nonzero(np.diff(stamps) < 0))
+    ordered = stamps[order]
+    fresh = np.concatenate([[True], np.diff(ordered) > 0]) if len(ordered) else ordered == ordered
+    duplicates = int(np.count_nonzero(~fresh))
+    if reversals:
+        notes.append(f"{reversals} samples out of order were sorted")
+    if duplicates:
+        notes.append(f"{duplicates} samples with a stamp already seen were left out")
+    return order[fresh], ordered[fresh], notes
