@@ -28,10 +28,13 @@ class Parser(argparse.ArgumentParser):
         self.add_argument("--debug", action="store_true", help="show the traceback of an error")
 
     def error(self, message: str) -> NoReturn:
+        """Refuse the arguments with one line."""
         raise UsageError(f"{message} (see {self.prog} --help)")
 
 
-def run(parser: Parser, body: Callable[[argparse.Namespace], int], argv: Sequence[str] | None) -> int:
+def run(
+    parser: Parser, body: Callable[[argparse.Namespace], int], argv: Sequence[str] | None
+) -> int:
     """Parse and run; a known error is one line on stderr.
 
     Returns:

@@ -52,7 +52,7 @@ class Signal:
     @property
     def seconds(self) -> NDArray[np.float64]:
         """Times since the first sample [s], shape (T,)."""
-        return (self.stamps_ns - self.stamps_ns[:1]) * 1e-9
+        return (self.stamps_ns - self.stamps_ns[:1]).astype(np.float64) * 1e-9
 
     @property
     def rate_hz(self) -> float:
@@ -134,8 +134,12 @@ class EpisodeInfo:
                 groups[group][name] = int(text)
             elif group == "notes":
                 groups[group][name] = text
-        plain = {name: record.get(name, "") for name in ("kind", "source", "preset")}
-        return cls(**plain, **groups)
+        return cls(
+            kind=record.get("kind", ""),
+            source=record.get("source", ""),
+            preset=record.get("preset", ""),
+            **groups,
+        )
 
     def counted(self, **counts: int) -> EpisodeInfo:
         """The same with these counts."""

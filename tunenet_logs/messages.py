@@ -41,8 +41,7 @@ def same_definition(type_name: str, schema_encoding: str, text: str) -> bool:
     theirs = _PARSERS[schema_encoding](text, type_name)
     ours = typestore().fielddefs
     return type_name in theirs and all(
-        name in ours and [field for field in ours[name][1]] == [field for field in parsed[1]]
-        for name, parsed in theirs.items()
+        name in ours and list(ours[name][1]) == list(parsed[1]) for name, parsed in theirs.items()
     )
 
 
@@ -70,9 +69,7 @@ def pose(stamp_ns: int, frame_id: str, position_m: NDArray[np.float64]) -> Any:
 def compressed_image(stamp_ns: int, frame_id: str, encoding: str, data: bytes) -> Any:
     """A CompressedImage that holds `data` untouched."""
     pixels = np.frombuffer(data, np.uint8)
-    return _type(COMPRESSED_IMAGE)(
-        header=header(stamp_ns, frame_id), format=encoding, data=pixels
-    )
+    return _type(COMPRESSED_IMAGE)(header=header(stamp_ns, frame_id), format=encoding, data=pixels)
 
 
 def encode(message: Any, type_name: str) -> bytes:

@@ -11,13 +11,13 @@ from typing import Protocol
 class Bar(Protocol):
     """What work in progress reports to."""
 
-    def update(self, done: int) -> object:
+    def update(self, done: int, /) -> object:
         """So many units more are done."""
         ...
 
 
 class _NoBar:
-    def update(self, done: int) -> None:
+    def update(self, _done: int, /) -> None:
         """Show nothing."""
 
 

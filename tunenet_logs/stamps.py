@@ -34,7 +34,7 @@ def order_samples(
     order = np.argsort(stamps, kind="stable")
     reversals = int(np.count_nonzero(np.diff(stamps) < 0))
     ordered = stamps[order]
-    fresh = np.concatenate([[True], np.diff(ordered) > 0]) if len(ordered) else ordered == ordered
+    fresh = np.diff(ordered, prepend=ordered[:1] - 1) > 0
     duplicates = int(np.count_nonzero(~fresh))
     if reversals:
         notes.append(f"{reversals} samples out of order were sorted")

@@ -60,7 +60,7 @@ class EpisodeWriter:
                 "move it away, or pass --overwrite"
             )
         try:
-            self._file = open(self.active_path, "wb")
+            self._file = open(self.active_path, "wb")  # noqa: SIM115 (closed by close)
         except OSError as error:
             raise LogError(f"{self.active_path}: cannot be written ({error.strerror})") from error
         self._writer = Writer(
@@ -103,7 +103,7 @@ class EpisodeWriter:
             self._file.flush()
             os.fdatasync(self._file.fileno())
         self._file.close()
-        os.replace(self.active_path, self.path)
+        self.active_path.replace(self.path)
 
     def __enter__(self) -> Self:
         return self

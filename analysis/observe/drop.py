@@ -1,8 +1,8 @@
 """A drop as an observation: in fall times and drop heights, or as the paper has it.
 
 With s = (t - t_impact) / T0 (T0 the fall time) and u the height above contact in drop heights, a
-bounce without drag is one curve that depends on the restitution alone: drop height, gravity, sampling
-rate, ball and table drop out. So one network serves every rig.
+bounce without drag is one curve that depends on the restitution alone: drop height, gravity, ball,
+table and sampling rate drop out. So one network serves every rig.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def rollout_drop(episode: Episode, rig: DropRig, contact: ContactSettings) -> Dr
     heights = signal.values[:, 2]
     return Drop(
         first=0,
-        seconds=(signal.stamps_ns - rig.start_ns) * 1e-9,
+        seconds=(signal.stamps_ns - rig.start_ns).astype(np.float64) * 1e-9,
         heights_m=heights,
         release_s=rig.hold_s,
         release_m=rig.radius_m + rig.gap_m,

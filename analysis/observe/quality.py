@@ -31,11 +31,15 @@ class Check:
     detail: str
     fatal: bool = False
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "passed", bool(self.passed))  # NumPy's bool is no JSON
+
 
 def recording_checks(drop: Drop, sideways_m: Array) -> list[Check]:
     """What the recording itself tells.
 
     Args:
+        drop: the drop in it.
         sideways_m: the ball's horizontal positions in the drop's window [m], shape (T, 2).
     """
     height = drop.drop_height_m
@@ -45,52 +49,49 @@ def recording_checks(drop: Drop, sideways_m: Array) -> list[Check]:
     drift = float(np.linalg.norm(np.ptp(sideways_m, axis=0)))
     periods = np.diff(drop.seconds)
     gap = float(periods.max() / np.median(periods))
-    gravity_off = abs(drop.gravity_m_s2 / _GRAVITY_M_S2 - 1)
+    floor = 0.03 * height + 6 * drop.noise_m
     checks = [
-        Check(
-            "gravity",
-            gravity_off < 0.05,
-            f"the ball falls with {drop.gravity_m_s2:.2f} m/s², expected 9.81 within 5 % "
-            "(else lengths or times are off, or something slows it)",
-        ),
-        Check(
-            "first flight seen",
-            seen > 0.9,
-            f"{seen:.1f} fall times recorded after the impact, at least 0.9 wanted",
-        ),
+        Check("first flight seen", seen > 0.9, f"{seen:.1f} fall times (wanted: 0.9 or more)"),
         Check(
             "stays on the table",
-            below < 0.03 * height + 6 * drop.noise_m,
-            f"{1000 * max(below, 0.0):.0f} mm below the contact at the lowest, "
-            f"at most {1000 * (0.03 * height + 6 * drop.noise_m):.0f} mm expected",
+            below < floor,
+            f"{1000 * max(below, 0.0):.1f} mm below contact (at most {1000 * floor:.0f})",
         ),
         Check(
             "falls straight",
             drift < 0.5 * height,
-            f"{1000 * drift:.0f} mm of sideways travel, at most {500 * height:.0f} mm wanted",
+            f"{1000 * drift:.0f} mm sideways (at most {500 * height:.0f})",
         ),
-        Check(
-            "no samples missing",
-            gap < 4,
-            f"the longest gap is {gap:.1f} sample periods, at most 4 wanted",
-        ),
+        Check("no samples missing", gap < 4, f"longest gap {gap:.1f} periods (at most 4)"),
     ]
     if not np.isnan(drop.rest_m):
         off = abs(drop.rest_m - drop.contact_m)
+        level = 0.02 * height + 4 * drop.noise_m
         checks.append(
             Check(
                 "rests where it hit",
-                off < 0.02 * height + 4 * drop.noise_m,
-                f"{1000 * off:.1f} mm between the levels of impact and of rest",
+                off < level,
+                f"{1000 * off:.1f} mm between impact and rest (at most {1000 * level:.0f})",
             )
         )
     return checks
+
+
+def gravity_check(drop: Drop) -> Check:
+    """Whether lengths and times are what they seem, and nothing slows the ball."""
+    return Check(
+        "gravity",
+        abs(drop.gravity_m_s2 / _GRAVITY_M_S2 - 1) < 0.05,
+        f"falls with {drop.gravity_m_s2:.2f} m/s² (wanted: 9.81 within 5 %)",
+    )
 
 
 def fit_check(simulated: Observation, target: Observation, scale: float) -> Check:
     """Whether the tuned simulator moves as the recording does.
 
     Args:
+        simulated: o_P of the result.
+        target: o_T.
         scale: drop height in the observations' unit.
     """
     off = (simulated.values - target.values) / scale
@@ -98,7 +99,6 @@ def fit_check(simulated: Observation, target: Observation, scale: float) -> Chec
     return Check(
         "simulation fits",
         rms < _SUSPECT_FIT,
-        f"{100 * rms:.2f} % of the drop height between the two curves (rms), "
-        f"at most {100 * _SUSPECT_FIT:g} % wanted",
+        f"{100 * rms:.2f} % of the drop height apart, rms (at most {100 * _SUSPECT_FIT:g})",
         fatal=rms > _REJECT_FIT,
     )

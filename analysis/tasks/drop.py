@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 
@@ -13,28 +13,18 @@ from analysis.estimators.base import Problem, Step
 from analysis.observe import drop as views
 from analysis.observe.base import Observation
 from analysis.observe.free_fall import Drop, find_drops
-from analysis.observe.quality import Check, fit_check, recording_checks
+from analysis.observe.quality import Check, fit_check, gravity_check, recording_checks
 from analysis.tasks.base import CrossCheck, Preset, Selection
-from analysis.tunenet.checkpoint import Purpose
-from analysis.tunenet.network import AntisymmetricNetwork, Network, PaperNetwork
-from analysis.tunenet.pairs import PairSet, consecutive_pairs, mixed_pairs, observe_all
-from analysis.tunenet.training import Recipe
+from analysis.tasks.drop_presets import PAPER_HEIGHT_M, PRESETS
 from recorders.simulators.contact import CALIBRATED, PAPER, ContactSettings
 from recorders.simulators.drop import RESTITUTION, TOPIC, DropRig, DropSimulator
 from tunenet_logs.episode import Episode, Signal
 from tunenet_logs.errors import NotFoundError, UsageError
-from tunenet_logs.progress import Progress
 
 Array = NDArray[np.float64]
 
 _AXES = {"+z": (2, 1), "-z": (2, -1), "+y": (1, 1), "-y": (1, -1), "+x": (0, 1), "-x": (0, -1)}
 _AGREEMENT = 0.02
-_PAPER_HEIGHT_M = (4.0, 5.0)
-_PAPER_RESTITUTION = (0.3, 0.7)
-_PAPER_PAIRS = 800
-_ROLLOUTS = 2048
-_PAIRS = 51_200
-_TRAINING_RATES_HZ = (60.0, 120.0, 240.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +50,13 @@ class FoundDrop:
     target: Observation
     warnings: tuple[str, ...]
 
+    @property
+    def step_hz(self) -> float:
+        """The simulator's steps a second (and one more at each impact, by default)."""
+        if not PRESETS[self.preset].physical:
+            return views.PAPER_RATE_HZ
+        return 1 / float(np.median(np.diff(self.drop.seconds)))
+
 
 class DropTask:
     """See `Task`."""
@@ -70,7 +67,7 @@ class DropTask:
     @property
     def presets(self) -> Mapping[str, Preset]:
         """See `Task.presets`."""
-        return _PRESETS
+        return PRESETS
 
     def find(self, episode: Episode, selection: Selection, preset: str) -> FoundDrop:
         """The first drop of the ball's signal; see `Task.find`."""
@@ -94,14 +91,17 @@ class DropTask:
     def checks(self, found: FoundDrop, last: Step) -> tuple[Check, ...]:
         """See `Task.checks`."""
         assert last.look is not None
-        scale = found.drop.drop_height_m if found.preset != "default" else 1.0
-        fit = fit_check(last.look.observation, found.target, scale)
-        return (*recording_checks(found.drop, found.sideways_m), fit)
+        checks = recording_checks(found.drop, found.sideways_m)
+        physical = PRESETS[found.preset].physical
+        if physical:  # the paper's simulator has a drag of its own
+            checks.append(gravity_check(found.drop))
+        scale = 1.0 if physical else found.drop.drop_height_m
+        return (*checks, fit_check(last.look.observation, found.target, scale))
 
     def cross_check(self, found: FoundDrop, estimate: Array) -> CrossCheck | None:
         """The speeds just after and just before the impact, by the parabolas on either side."""
         value = found.drop.rebound_speed_m_s / found.drop.impact_speed_m_s
-        if np.isnan(value) or not _PRESETS[found.preset].physical:
+        if np.isnan(value) or not PRESETS[found.preset].physical:
             return None
         agrees = bool(abs(value - estimate[0]) < _AGREEMENT)
         return CrossCheck("speeds at the first impact", value, agrees)
@@ -141,7 +141,7 @@ def _find_in(signal: Signal, preset: str) -> FoundDrop:
     if not len(signal.stamps_ns):
         raise NotFoundError("no samples in the selected part")
     up, drops = _vertical_drops(signal)
-    column, sign = _AXES[up]
+    column, _ = _AXES[up]
     drop = drops[0]
     warnings = [] if up == "+z" else [f"up is {up} in {signal.name}"]
     if len(drops) > 1:
@@ -149,7 +149,7 @@ def _find_in(signal: Signal, preset: str) -> FoundDrop:
         warnings.append(f"{len(drops)} drops ({spans}); the first is used (see --start, --end)")
     window = slice(drop.first, drop.first + len(drop.seconds))
     target = _VIEWS[preset](drop)
-    if preset != "default":
+    if not PRESETS[preset].physical:
         warnings += _paper_warnings(drop, target)
     return FoundDrop(
         preset=preset,
@@ -184,7 +184,7 @@ def _paper_warnings(drop: Drop, target: Observation) -> list[str]:
             "or use --preset default"
         )
     height = drop.release_m - drop.contact_m + views.PAPER_RADIUS_M
-    low, high = _PAPER_HEIGHT_M
+    low, high = PAPER_HEIGHT_M
     if low - 0.1 <= height <= high + 0.1:
         return []
     return [
@@ -196,7 +196,7 @@ def _paper_warnings(drop: Drop, target: Observation) -> list[str]:
 def _rig_like(found: FoundDrop) -> tuple[DropRig, ContactSettings]:
     """The rig whose rollouts show the same drop at the same stamps."""
     drop = found.drop
-    if found.preset != "default":
+    if not PRESETS[found.preset].physical:
         gap = drop.release_m - drop.contact_m
         start_ns = found.start_ns + round(1e9 * drop.release_s)
         return DropRig(gap, views.PAPER_RADIUS_M, views.PAPER_RATE_HZ, start_ns=start_ns), PAPER
@@ -221,123 +221,8 @@ def _observe_rollout(episode: Episode, rig: DropRig, contact: ContactSettings) -
     return views.canonical(views.rollout_drop(episode, rig, contact))
 
 
-def _observe_plans(plans: Sequence[tuple[DropRig, ContactSettings, float]]) -> Array:
-    """Observations of rollouts, shape (N, L, 1); runs in the worker processes."""
-    curves: list[Array] = []
-    simulator = DropSimulator(plans[0][0], plans[0][1])
-    for rig, contact, restitution in plans:
-        simulator = simulator.with_rig(rig)
-        episode = simulator.rollout({RESTITUTION.name: restitution})
-        if contact == PAPER:
-            curves.append(views.paper_rollout(episode).values)
-        else:
-            curves.append(_observe_rollout(episode, rig, contact).values)
-    return np.array(curves)
-
-
-def _paper_pairs(count: int | None, seed: int, jobs: int | None, progress: Progress) -> PairSet:
-    """Both rollouts of a pair from one height, U(4, 5) m; restitutions U(.3, .7)."""
-    count = count or _PAPER_PAIRS
-    rng = np.random.default_rng(seed)
-    heights = np.repeat(rng.uniform(*_PAPER_HEIGHT_M, count), 2)
-    values = rng.uniform(*_PAPER_RESTITUTION, 2 * count)
-    radius = views.PAPER_RADIUS_M
-    plans = [
-        (DropRig(float(height) - radius, radius, views.PAPER_RATE_HZ), PAPER, float(value))
-        for height, value in zip(heights, values, strict=True)
-    ]
-    observations = observe_all(_observe_plans, plans, jobs, progress)
-    return PairSet(observations, values[:, None], *consecutive_pairs(count))
-
-
-def _canonical_pairs(count: int | None, seed: int, jobs: int | None, progress: Progress) -> PairSet:
-    """Restitutions over all of [0, 1], evenly; any rig will do, so heights and rates vary."""
-    rng = np.random.default_rng(seed)
-    values = (np.arange(_ROLLOUTS) + rng.random(_ROLLOUTS)) / _ROLLOUTS
-    gaps = rng.uniform(0.3, 5.0, _ROLLOUTS)
-    rates = rng.choice(_TRAINING_RATES_HZ, _ROLLOUTS)
-    plans = []
-    for gap, rate, value in zip(gaps, rates, values, strict=True):
-        fall_s = np.sqrt(2 * gap / CALIBRATED.gravity_m_s2)
-        samples = int(np.ceil((views.CANONICAL_SPAN + 1) * fall_s * rate)) + 3
-        rig = DropRig(float(gap), rate_hz=float(rate), samples=samples, hold_s=rng.random() / rate)
-        plans.append((rig, CALIBRATED, float(value)))
-    observations = observe_all(_observe_plans, plans, jobs, progress)
-    return PairSet(observations, values[:, None], *mixed_pairs(values, count or _PAIRS, rng))
-
-
-def _preset(
-    name: str,
-    network: Network,
-    recipe: Recipe,
-    make_pairs: Callable[[int | None, int, int | None, Progress], PairSet],
-) -> Preset:
-    ours = name == "default"
-    seen = "height after impact, 32 places a fall time, 4 fall times"
-    purpose = Purpose(
-        task="drop",
-        preset=name,
-        observation=seen if ours else "z, 400 samples at 60 Hz from the release",
-        inputs=len(views.canonical_axis()) if ours else views.PAPER_SAMPLES,
-        outputs=1,
-        rates_hz=_TRAINING_RATES_HZ if ours else (views.PAPER_RATE_HZ,),
-    )
-    return Preset(purpose, network, recipe, make_pairs, physical=ours)
-
-
 _VIEWS: dict[str, Callable[[Drop], Observation]] = {
     "default": views.canonical,
     "paper": views.paper_heights,
     "paper-code": views.paper_heights,
-}
-
-_PRESETS = {
-    "default": _preset(
-        "default",
-        AntisymmetricNetwork(),
-        Recipe(
-            optimizer="adamw",
-            learning_rate=3e-3,
-            weight_decay=0.01,
-            loss="relative",
-            scaling="standard",
-            epochs=20,
-            batch=256,
-            noise=0.01,
-            cut_share=0.2,
-        ),
-        _canonical_pairs,
-    ),
-    "paper": _preset(
-        "paper",
-        PaperNetwork(),
-        Recipe(
-            optimizer="sgd",
-            learning_rate=1e-2,
-            decay=0.99,
-            decay_epochs=5,
-            weight_decay=1e-2,
-            loss="norm",
-            scaling="unit",
-            epochs=200,
-            batch=50,
-        ),
-        _paper_pairs,
-    ),
-    "paper-code": _preset(
-        "paper-code",
-        PaperNetwork(),
-        Recipe(
-            optimizer="sgd",
-            learning_rate=1e-1,
-            decay=0.99,
-            decay_epochs=1,
-            weight_decay=1e-2,
-            loss="squared",
-            scaling="raw",
-            epochs=200,
-            batch=50,
-        ),
-        _paper_pairs,
-    ),
 }

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.resources import as_file, files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +48,9 @@ def save_model(path: Path, model: Model, purpose: Purpose, notes: Mapping[str, s
     """Write atomically; returns the digest.
 
     Args:
+        path: the file; replaced if it exists.
+        model: what to save; its own digest is ignored.
+        purpose: what it was trained for.
         notes: how it was trained, in words; part of the digest.
 
     Raises:
@@ -60,7 +63,7 @@ def save_model(path: Path, model: Model, purpose: Purpose, notes: Mapping[str, s
     partial = path.with_name(path.name + ".partial")
     try:
         partial.write_bytes(save(tensors, header))
-        os.replace(partial, path)
+        partial.replace(path)
     except OSError as error:
         raise WeightsError(f"{path}: cannot be written ({error.strerror})") from error
     return header["digest"]
@@ -85,13 +88,15 @@ def load_model(path: Path, purpose: Purpose) -> Model:
     for name, wanted in _strings(purpose).items():
         if name != "rates_hz" and header.get(name) != wanted:
             raise WeightsError(
-                f"{path}: these weights are for {name} {header.get(name, '')[:80]!r}, not {wanted!r}; "
+                f"{path}: weights for {name} {header.get(name, '')[:80]!r}, not {wanted!r}; "
                 f"make fitting ones with tunenet-train {purpose.task} --preset {purpose.preset}"
             )
     digest = header.pop("digest", "")
     network = NETWORKS.get(header.get("network", ""))
     if network is None or digest != _digest(tensors, header):
-        raise WeightsError(f"{path}: the weights are damaged (wrong digest); train or copy them again")
+        raise WeightsError(
+            f"{path}: the weights are damaged (wrong digest); train or copy them again"
+        )
     expected = network.shapes(purpose.inputs, purpose.outputs)
     expected |= {f"scaling.{name}": () for name in _SCALING}
     for name, shape in expected.items():
@@ -104,12 +109,13 @@ def load_model(path: Path, purpose: Purpose) -> Model:
     return Model(network, weights, scaling, digest)
 
 
-def _read(path: Path) -> tuple[dict[str, NDArray[np.float64]], dict[str, str]]:
+def _read(path: Path) -> tuple[dict[str, Any], dict[str, str]]:
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise WeightsError(f"{path}: is larger than any weights of this project")
         with safe_open(path, framework="numpy") as file:
-            return {name: file.get_tensor(name) for name in file.keys()}, file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (no dict)
+            return tensors, file.metadata() or {}
     except FileNotFoundError as error:
         raise WeightsError(f"{path}: no such file") from error
     except (OSError, SafetensorError, TypeError, ValueError) as error:

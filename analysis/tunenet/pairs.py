@@ -80,6 +80,8 @@ def mixed_pairs(
 
     Args:
         values: one parameter of the N rollouts, shape (N,).
+        count: pairs wanted.
+        rng: where they are drawn from.
     """
     order = np.argsort(values)
     proposed = rng.integers(len(values), size=count)

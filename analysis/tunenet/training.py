@@ -44,9 +44,7 @@ class Recipe:
     cut_share: float = 0.0
 
 
-def train(
-    network: Network, pairs: PairSet, recipe: Recipe, seed: int, progress: Progress
-) -> Model:
+def train(network: Network, pairs: PairSet, recipe: Recipe, seed: int, progress: Progress) -> Model:
     """Train on the CPU or wherever torch puts tensors by default.
 
     The same seed on the same machine gives the same weights.
@@ -89,6 +87,12 @@ def train(
             bar.update(1)
     trained = {name: value.detach().numpy().astype(np.float64) for name, value in weights.items()}
     return Model(network, trained, scaling)
+
+
+def one_step_error(model: Model, pairs: PairSet) -> float:
+    """Mean absolute error of zeta_P + h(o_P, o_T) over the pairs (K = 1 in the paper's table)."""
+    found = model(pairs.observations[pairs.proposed], pairs.observations[pairs.target])
+    return float(np.mean(np.abs(found - pairs.residuals)))
 
 
 def _scaling(pairs: PairSet, how: str) -> Scaling:

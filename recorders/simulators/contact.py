@@ -1,11 +1,11 @@
 """Contact settings of PyBullet: the calibrated ones, and the paper's.
 
 Bullet loses or adds energy at an impact in four ways. A contact is made up to
-`contactBreakingThreshold` ahead of the surfaces' meeting and eats the rebound. The error reduction
-(`erp`) pushes out what has sunk in, which adds energy. `contactSlop` (1e-5 m by default) is added to
-the distance and, divided by a short step, takes slop/dt off the rebound speed. And default damping
-is a drag. The calibrated settings switch all four off, and the step that meets the surface is cut to
-end there (`meet_impacts`), so that the restitution that is set is the one that is got.
+`contactBreakingThreshold` ahead of the surfaces' meeting, and eats the rebound. Error reduction
+(`erp`) pushes out what has sunk in, which adds energy. `contactSlop` (1e-5 m by default) is added
+to the distance and, divided by a short step, takes slop / dt off the rebound speed. And default
+damping is a drag. The calibrated settings switch all four off, and the step that meets the surface
+is cut to end there (`meet_impacts`), so that the restitution that is set is the one that is got.
 """
 
 from __future__ import annotations
@@ -55,9 +55,7 @@ CALIBRATED = ContactSettings(
 )
 """Restitution set = restitution got."""
 
-PAPER = ContactSettings(
-    name="paper", gravity_m_s2=9.8, engine=(), body=(), meet_impacts=False
-)
+PAPER = ContactSettings(name="paper", gravity_m_s2=9.8, engine=(), body=(), meet_impacts=False)
 """PyBullet's defaults, stepped once a sample: the paper's simulator (at 60 Hz)."""
 
 PRESETS = {settings.name: settings for settings in (CALIBRATED, PAPER)}

@@ -15,8 +15,6 @@ from mcap.exceptions import McapError
 from mcap.records import Chunk, DataEnd, Footer, McapRecord
 from mcap.stream_reader import StreamReader, breakup_chunk
 
-from tunenet_logs.errors import LogError
-
 MAGIC = b"\x89MCAP0\r\n"
 MAX_CHUNK_BYTES = 256 * 1024 * 1024
 
@@ -65,15 +63,15 @@ def read_records(path: Path, losses: list[str]) -> Iterator[McapRecord]:
         if not ended:
             losses.append("the end of the file is missing")
         elif not protected:
-            losses.append("the log carries no data checksum, so its integrity cannot be vouched for")
+            losses.append(
+                "the log carries no data checksum, so its integrity cannot be vouched for"
+            )
 
 
 def _chunk_records(chunk: Chunk, losses: list[str]) -> list[McapRecord]:
     try:
         data = _decompress(chunk)
-        plain = dataclasses.replace(
-            chunk, compression="", data=data, uncompressed_size=len(data)
-        )
+        plain = dataclasses.replace(chunk, compression="", data=data, uncompressed_size=len(data))
         return breakup_chunk(plain, validate_crc=True)
     except DAMAGE as error:
         losses.append(f"a damaged chunk was left out: {_describe(error)}")

@@ -1,0 +1,137 @@
+"""Many logs, several at a time: one bad log never stops the rest."""
+
+from __future__ import annotations
+
+import traceback
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+from pathlib import Path
+
+from analysis.report import to_json
+from analysis.review import write_review
+from analysis.tuning import Options, Tuning, tune_log
+from tunenet_logs.errors import LogError, UsageError
+from tunenet_logs.progress import Progress
+from tunenet_logs.writer import ACTIVE_SUFFIX
+
+
+@dataclass(frozen=True)
+class Result:
+    """A tuning and where it went.
+
+    Attributes:
+        trouble: why results could not be written, one line; None if they were.
+    """
+
+    tuning: Tuning
+    review: Path | None = None
+    trouble: str | None = None
+
+
+def tune_all(
+    logs: Sequence[Path], options: Options, folder: Path | None, jobs: int, progress: Progress
+) -> list[Result]:
+    """Tune every log, write its JSON and review, and return what came out in the logs' order.
+
+    Raises:
+        UsageError: the options fit no log at all, or two logs would write the same results.
+    """
+    logs = list(dict.fromkeys(logs))
+    names = _names(logs, folder)
+    work = [(log, options, name) for log, name in zip(logs, names, strict=True)]
+    with progress.bar(len(work), "tuning", "log") as bar:
+        if min(jobs, len(work)) == 1:
+            results = []
+            for item in work:
+                results.append(_one(*item))
+                bar.update(1)
+            return results
+        return _in_processes(work, min(jobs, len(work)), bar.update)
+
+
+def _in_processes(
+    work: list[tuple[Path, Options, Path]], jobs: int, done: Callable[[int], object]
+) -> list[Result]:
+    results: dict[int, Result] = {}
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        futures = {pool.submit(_one, *item): index for index, item in enumerate(work)}
+        for future in as_completed(futures):
+            if not isinstance(future.exception(), BrokenProcessPool):
+                results[futures[future]] = future.result()
+                done(1)
+    for index, item in enumerate(work):  # a process that dies takes its pool with it
+        if index not in results:
+            results[index] = _alone(*item)
+            done(1)
+    return [results[index] for index in range(len(work))]
+
+
+def _alone(log: Path, options: Options, name: Path) -> Result:
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        future: Future[Result] = pool.submit(_one, log, options, name)
+        try:
+            return future.result()
+        except BrokenProcessPool:
+            reason = "the process that tuned it died (out of memory?)"
+            return Result(Tuning(log, options.task, options.preset, "rejected", reason))
+
+
+def _one(log: Path, options: Options, name: Path) -> Result:
+    """Tune one log and write its results; runs in the worker processes."""
+    try:
+        tuning = tune_log(log, options)
+    except UsageError:
+        raise
+    except Exception as error:  # noqa: BLE001 (a defect of ours must not cost the other logs)
+        traceback.print_exc()
+        reason = f"unexpected {type(error).__name__}: {error}; please report it with the log"
+        tuning = Tuning(log, options.task, options.preset, "rejected", reason)
+    review = None
+    try:
+        if log.is_file():
+            name.parent.mkdir(parents=True, exist_ok=True)
+            if tuning.episode is not None:
+                review = name.with_name(name.name + ".rrd")
+                with _replacing(review) as partial:
+                    write_review(tuning, partial)
+            with _replacing(name.with_name(name.name + ".json")) as partial:
+                partial.write_text(to_json(tuning), encoding="utf-8")
+    except OSError as error:
+        trouble = (
+            f"{error.filename or name.parent}: cannot be written ({error.strerror}); choose -o DIR"
+        )
+        return Result(replace(tuning, episode=tuning.episode), None, trouble)
+    return Result(tuning, review)
+
+
+@contextmanager
+def _replacing(path: Path) -> Iterator[Path]:
+    """Write to a file beside `path` that takes its name once it is whole."""
+    partial = path.with_name(path.name + ".partial")
+    try:
+        yield partial
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _names(logs: Iterable[Path], folder: Path | None) -> list[Path]:
+    """Where each log's results go, without the suffix; logs of one stem get their folder's name."""
+    logs = list(logs)
+    stems = [log.name.removesuffix(ACTIVE_SUFFIX).rsplit(".", 1)[0] or log.name for log in logs]
+    names = [(folder or log.parent) / stem for log, stem in zip(logs, stems, strict=True)]
+    taken = Counter(names)
+    names = [
+        name.with_name(f"{log.resolve().parent.name}_{name.name}") if taken[name] > 1 else name
+        for log, name in zip(logs, names, strict=True)
+    ]
+    if len(set(names)) < len(names):
+        raise UsageError("several logs would write the same results; tune them into folders apart")
+    if folder is not None and folder.exists() and not folder.is_dir():
+        raise LogError(f"{folder}: is not a folder; choose another with -o")
+    return names

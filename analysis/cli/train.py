@@ -1,0 +1,120 @@
+"""tunenet-train: make the data set and train, from nothing to weights."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from tunenet_logs.commandline import Parser, run, whole
+from tunenet_logs.errors import WeightsError
+
+_DESCRIPTION = """\
+Simulate pairs of episodes on all cores, train the network on them, and write its
+weights (safetensors, with what they are for inside). The weights that the package
+ships were written by this command, with its defaults."""
+
+_EXAMPLES = """\
+  tunenet-train drop -o drop.safetensors
+  tunenet-train drop --preset paper-code --seed 3 -o paper-code-3.safetensors
+  tunenet-tune drop.mcap --weights drop.safetensors"""
+
+_HELD_OUT = 100
+
+
+def build_parser() -> Parser:
+    """The command's arguments."""
+    parser = Parser("tunenet-train", _DESCRIPTION, _EXAMPLES)
+    add = parser.add_argument
+    add("task", choices=["drop"], help="what to learn to tune")
+    add(
+        "-o",
+        "--output",
+        type=Path,
+        metavar="FILE",
+        help="weights to write (default: TASK-PRESET.safetensors here)",
+    )
+    add(
+        "--preset",
+        choices=["default", "paper", "paper-code"],
+        default="default",
+        help="simulator, observation and network: ours, or those of the paper's text or code",
+    )
+    add(
+        "--pairs",
+        type=whole(10, 10_000_000),
+        metavar="N",
+        help="training pairs (default: 51200; paper's presets: 800)",
+    )
+    add(
+        "--epochs",
+        type=whole(1, 1_000_000),
+        metavar="N",
+        help="passes over them (default: 20; paper's presets: 200)",
+    )
+    add(
+        "--seed",
+        type=whole(0, 2**32 - 1),
+        default=0,
+        metavar="N",
+        help="for data and training (default: 0)",
+    )
+    add(
+        "--jobs",
+        type=whole(1, 256),
+        metavar="N",
+        help="processes that simulate (default: all cores)",
+    )
+    add("--overwrite", action="store_true", help="replace existing weights")
+    add("--quiet", action="store_true", help="no progress bar")
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Entry point of `tunenet-train`."""
+    return run(build_parser(), _train, argv)
+
+
+def _train(arguments: argparse.Namespace) -> int:
+    path = arguments.output or Path(f"{arguments.task}-{arguments.preset}.safetensors")
+    if path.exists() and not arguments.overwrite:
+        raise WeightsError(f"{path}: exists; choose another name with -o, or pass --overwrite")
+    if not path.parent.is_dir():
+        raise WeightsError(f"{path.parent}: no such folder; create it, or choose another with -o")
+
+    from dataclasses import replace
+
+    import torch  # noqa: F401 (loading it is start-up, not training)
+
+    from analysis.tasks import TASKS
+    from analysis.tunenet.checkpoint import save_model
+    from analysis.tunenet.training import one_step_error, train
+    from tunenet_logs.progress import Progress
+
+    preset = TASKS[arguments.task].presets[arguments.preset]
+    progress = Progress(quiet=arguments.quiet)
+    start = time.perf_counter()
+    pairs = preset.make_pairs(arguments.pairs, arguments.seed, arguments.jobs, progress)
+    simulated = time.perf_counter()
+    recipe = preset.recipe
+    if arguments.epochs is not None:
+        recipe = replace(recipe, epochs=arguments.epochs)
+    model = train(preset.network, pairs, recipe, arguments.seed, progress)
+    trained = time.perf_counter()
+    notes = {"seed": str(arguments.seed), "pairs": str(len(pairs.proposed)), "recipe": str(recipe)}
+    digest = save_model(path, model, preset.purpose, notes)
+    print(
+        f"{path}: {len(pairs.values)} rollouts in {simulated - start:.1f} s, "
+        f"{len(pairs.proposed)} pairs x {recipe.epochs} epochs in {trained - simulated:.1f} s, "
+        f"{trained - start:.1f} s in all; sha256 {digest}"
+    )
+    held_out = preset.make_pairs(_HELD_OUT, arguments.seed + 1_000_003, arguments.jobs, progress)
+    error = one_step_error(model, held_out)
+    print(f"one step on {_HELD_OUT} fresh pairs: mean absolute error {error:.5f}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

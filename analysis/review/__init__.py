@@ -1,0 +1,96 @@
+"""The Rerun recording of a tuning, with its blueprint: the only room that knows Rerun.
+
+Everything that moves lies on the log's time, so that one play button moves the balls and the
+cursors together. A view shows only what is on the active timeline, so what is drawn for each
+iteration lies beside a static observed curve, for scrubbing `iteration`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+from analysis.review.plots import height_view, log_plots, residual_view
+from analysis.review.scene import log_scene, scene_view
+from analysis.review.sending import ITERATION, LOG_TIME, send_scalars
+from analysis.review.sheets import convergence_view, height_sheet_view, log_sheets, step_view
+from analysis.review.story import Story, story_of
+from analysis.review.words import result_words
+from analysis.tuning import Tuning
+
+
+def write_review(tuning: Tuning, path: Path) -> None:
+    """Write the review of a tuning to `path` (.rrd).
+
+    Raises:
+        OSError: `path` cannot be written.
+    """
+    path.touch()  # Rerun itself would only print that it cannot be written
+    told = f"{tuning.log.resolve()} {tuning.preset} {tuning.digest}"
+    identity = hashlib.sha256(told.encode()).hexdigest()[:16]
+    kind = "drop" if tuning.found else "log"
+    stream = rr.RecordingStream(f"tunenet review {kind}", recording_id=identity)
+    stream.save(str(path))
+    stream.send_recording_name(tuning.log.name)
+    words = rr.TextDocument(result_words(tuning), media_type="text/markdown")
+    stream.log("result", words, static=True)
+    if tuning.found is None:
+        _log_recorded(stream, tuning)
+        stream.send_blueprint(_blueprint(_recorded_layout()))
+    else:
+        story = story_of(tuning)
+        log_plots(stream, story)
+        log_scene(stream, story)
+        log_sheets(stream, story)
+        stream.send_blueprint(_blueprint(_tuning_layout(story)))
+    stream.flush()
+    stream.disconnect()
+
+
+def _log_recorded(stream: rr.RecordingStream, tuning: Tuning) -> None:
+    """What was recorded, where the task found nothing in it."""
+    signals = tuning.episode.signals if tuning.episode else {}
+    for signal in signals.values():
+        for index, column in enumerate(signal.columns):
+            entity = f"recorded/{signal.name.strip('/')}/{column}"
+            stream.log(entity, rr.SeriesLines(names=[f"{signal.name} {column}"]), static=True)
+            send_scalars(stream, entity, signal.seconds, signal.values[:, index])
+
+
+def _tuning_layout(story: Story) -> rrb.Container:
+    result = rrb.TextDocumentView(origin="/result", name="result")
+    overlay = rrb.Horizontal(
+        rrb.Vertical(scene_view(story), height_view(story)),
+        rrb.Vertical(result, residual_view(story), convergence_view(), row_shares=[5, 3, 3]),
+        column_shares=[3, 2],
+        name=f"overlay (timeline {LOG_TIME})",
+    )
+    scrub = rrb.Horizontal(
+        height_sheet_view(),
+        rrb.Vertical(step_view(), convergence_view()),
+        column_shares=[5, 3],
+        name=f"scrub (timeline {ITERATION})",
+    )
+    return rrb.Tabs(overlay, scrub, active_tab=0)
+
+
+def _recorded_layout() -> rrb.Container:
+    return rrb.Horizontal(
+        rrb.TimeSeriesView(origin="/recorded", name="recorded position [m]"),
+        rrb.TextDocumentView(origin="/result", name="result"),
+        column_shares=[3, 2],
+    )
+
+
+def _blueprint(layout: rrb.Container) -> rrb.Blueprint:
+    return rrb.Blueprint(
+        layout,
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.TimePanel(state="collapsed", timeline=LOG_TIME),
+        auto_views=False,
+        auto_layout=False,
+    )

@@ -1,0 +1,105 @@
+"""What a review tells, taken from a tuning once: curves over the log's time, one an iteration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.tuning import Tuning
+
+Array = NDArray[np.float64]
+Color = tuple[int, int, int]
+
+OBSERVED: Color = (255, 255, 255)
+MUTED: Color = (140, 140, 140)
+# Cold to warm: readable on a dark ground, and apart for the colour-blind.
+_RAMP: tuple[Color, ...] = (
+    (112, 100, 190),
+    (66, 120, 220),
+    (40, 165, 200),
+    (60, 190, 130),
+    (160, 205, 60),
+    (255, 165, 40),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A height above the table over the log's time.
+
+    Attributes:
+        value: the restitution it was simulated with; NaN for the observed one.
+        seconds: since the log's first sample [s], shape (T,).
+        heights_m: shape (T,).
+    """
+
+    label: str
+    color: Color
+    width: float
+    value: float
+    seconds: Array
+    heights_m: Array
+
+    def minus(self, other: Curve) -> Curve:
+        """This curve less `other`, at the other's times."""
+        off = np.interp(other.seconds, self.seconds, self.heights_m) - other.heights_m
+        return Curve(self.label, self.color, self.width, self.value, other.seconds, off)
+
+
+@dataclass(frozen=True, eq=False)
+class Story:
+    """The curves of one tuning.
+
+    Attributes:
+        simulated: one an iteration, cut to the observed span; the last is the result.
+        drop_height_m: what the views are scaled by.
+        release_s: when the ball was let go, on the log's time.
+        impact_s: the first impact.
+        end_s: when little more is to be seen.
+    """
+
+    observed: Curve
+    simulated: tuple[Curve, ...]
+    drop_height_m: float
+    release_s: float
+    impact_s: float
+    end_s: float
+
+
+def story_of(tuning: Tuning) -> Story:
+    """The story of a tuning that found a drop."""
+    found, drop = tuning.found, tuning.found.drop
+    steps = tuning.trace.steps if tuning.trace else ()
+    heights = drop.heights_m - drop.contact_m
+    observed = Curve("observed", OBSERVED, 2.5, float("nan"), drop.seconds, heights)
+    simulated: list[Curve] = []
+    for k, step in enumerate(steps):
+        assert step.look is not None
+        signal = next(iter(step.look.episode.signals.values()))
+        seconds = (signal.stamps_ns - found.start_ns) * 1e-9
+        heights = signal.values[:, 2] - step.look.episode.info.rig["ball_diameter_m"] / 2
+        inside = (seconds > drop.seconds[0] - 1e-6) & (seconds < drop.seconds[-1] + 1e-6)
+        value = float(step.values[0])
+        width = 3.0 if k == len(steps) - 1 else 1.2
+        label = f"k={k}  e={value:.4f}"
+        color = ramp(k, len(steps))
+        simulated.append(Curve(label, color, width, value, seconds[inside], heights[inside]))
+    return Story(
+        observed=observed,
+        simulated=tuple(simulated),
+        drop_height_m=float(drop.drop_height_m),
+        release_s=float(drop.release_s),
+        impact_s=float(drop.impact_s),
+        end_s=float(min(drop.seconds[-1], drop.impact_s + 5 * drop.fall_time_s)),
+    )
+
+
+def ramp(k: int, count: int) -> Color:
+    """The colour of iteration `k` of `count`."""
+    place = k / max(count - 1, 1) * (len(_RAMP) - 1)
+    low = min(int(place), len(_RAMP) - 2)
+    pairs = zip(_RAMP[low], _RAMP[low + 1], strict=True)
+    red, green, blue = (round(a + (place - low) * (b - a)) for a, b in pairs)
+    return red, green, blue

@@ -1,0 +1,35 @@
+"""The result in words."""
+
+from __future__ import annotations
+
+from analysis.tuning import Tuning
+
+
+def result_words(tuning: Tuning) -> str:
+    """Verdict, iterations and checks as Markdown."""
+    lines: list[str] = []
+    if tuning.estimate is not None:
+        named = zip(tuning.parameters, tuning.estimate, strict=True)
+        lines += [f"# {one.name} {value:.4f}" for one, value in named]
+    lines.append(f"**{tuning.verdict}**" + (f": {tuning.reason}" if tuning.reason else ""))
+    if tuning.trace is not None:
+        lines.append(
+            f"{tuning.method}, preset {tuning.preset}, {tuning.rollouts} rollouts"
+            + ("" if tuning.physical else "; the engine's number at 60 Hz, not the ball's own")
+        )
+        rows = [f"| {k} | {step.values[0]:.4f} |" for k, step in enumerate(tuning.trace.steps)]
+        lines.append("\n".join(["| k | restitution |", "| --- | --- |", *rows]))
+    checks = [
+        f"| {one.name} | {'passed' if one.passed else '**failed**'} | {one.detail} |"
+        for one in tuning.checks
+    ]
+    if tuning.cross_check is not None:
+        verdict = "agrees" if tuning.cross_check.agrees else "**disagrees**"
+        checks.append(
+            f"| cross-check | {verdict} | {tuning.cross_check.method}: "
+            f"{tuning.cross_check.value:.4f} |"
+        )
+    if checks:
+        lines.append("\n".join(["| check | | seen |", "| --- | --- | --- |", *checks]))
+    lines += [f"- {warning}" for warning in tuning.warnings]
+    return "\n\n".join(lines)

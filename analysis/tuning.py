@@ -1,0 +1,190 @@
+"""One log from end to end: read, observe, estimate, check, verdict."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.estimators.base import Problem, Step, Trace
+from analysis.estimators.tunenet import TuneNet
+from analysis.observe.quality import Check
+from analysis.tasks import TASKS
+from analysis.tasks.base import CrossCheck, Preset, Selection, Task
+from analysis.tunenet.checkpoint import load_model, shipped_model
+from analysis.tunenet.network import Model
+from recorders.simulators.base import Parameter
+from tunenet_logs.episode import Episode
+from tunenet_logs.errors import NotFoundError, TuneNetError, UsageError
+from tunenet_logs.reader import read_episode
+
+Verdict = Literal["ok", "suspect", "rejected"]
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a user may choose; see `tunenet-tune --help`.
+
+    Attributes:
+        task: None to go by the log.
+        initial: None for the task's own first guess.
+        weights: None for those that the package ships.
+    """
+
+    task: str | None = None
+    preset: str = "default"
+    iterations: int = 5
+    initial: float | None = None
+    weights: Path | None = None
+    selection: Selection = field(default_factory=Selection)
+
+
+@dataclass(frozen=True, eq=False)
+class Tuning:
+    """What came out for one log.
+
+    Attributes:
+        reason: why the verdict is not "ok"; None if it is.
+        episode: the log as it was read; None if it could not be.
+        found: what the task found in it; None if nothing.
+        trace: the iterates with their rollouts, the last one's too; None where there are none.
+        rollouts: all simulator runs, that of the last iterate too.
+        digest: of the weights.
+        step_hz: the simulator's steps a second.
+        seconds: wall time of "read", "observe", "tune", "total".
+    """
+
+    log: Path
+    task: str | None
+    preset: str
+    verdict: Verdict
+    reason: str | None
+    method: str = TuneNet.name
+    parameters: tuple[Parameter, ...] = ()
+    episode: Episode | None = None
+    found: Any = None
+    trace: Trace | None = None
+    rollouts: int = 0
+    cross_check: CrossCheck | None = None
+    checks: tuple[Check, ...] = ()
+    warnings: tuple[str, ...] = ()
+    digest: str = ""
+    physical: bool = True
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def estimate(self) -> NDArray[np.float64] | None:
+        """The tuned values, shape (P,); None for a rejected log."""
+        if self.trace is None or self.verdict == "rejected":
+            return None
+        return self.trace.estimate
+
+
+class _Stopwatch:
+    def __init__(self) -> None:
+        self._start = self._last = time.perf_counter()
+        self.seconds: dict[str, float] = {}
+
+    def lap(self, name: str) -> None:
+        now = time.perf_counter()
+        self.seconds[name] = now - self._last
+        self.seconds["total"] = now - self._start
+        self._last = now
+
+
+def tune_log(path: Path, options: Options) -> Tuning:
+    """Tune from one log. What cannot be tuned comes back as "rejected", with the reason.
+
+    Raises:
+        UsageError, WeightsError: the options fit no task, preset, topic or weights.
+    """
+    watch = _Stopwatch()
+    rejected = Tuning(path, options.task, options.preset, "rejected", None, seconds=watch.seconds)
+    try:
+        episode = read_episode(path)
+    except TuneNetError as error:
+        watch.lap("read")
+        return replace(rejected, reason=str(error).removeprefix(f"{path}: "))
+    watch.lap("read")
+    task = _task(path, episode, options)
+    preset = _preset(task, options)
+    rejected = replace(
+        rejected,
+        task=task.name,
+        episode=episode,
+        parameters=task.parameters,
+        warnings=episode.warnings,
+        physical=preset.physical,
+    )
+    try:
+        found = task.find(episode, options.selection, options.preset)
+    except NotFoundError as error:
+        watch.lap("observe")
+        return replace(rejected, reason=str(error))
+    watch.lap("observe")
+    model = _model(preset, options)
+    initial = [
+        one.initial if options.initial is None else options.initial for one in task.parameters
+    ]
+    problem = task.problem(found, np.array(initial))
+    trace = _with_last_look(TuneNet(model).estimate(problem, options.iterations), problem)
+    checks = task.checks(found, trace.steps[-1])
+    cross_check = task.cross_check(found, trace.estimate)
+    watch.lap("tune")
+    verdict, reason = _judge(checks, cross_check)
+    return replace(
+        rejected,
+        verdict=verdict,
+        reason=reason,
+        found=found,
+        trace=trace,
+        rollouts=problem.rollouts,
+        cross_check=cross_check,
+        checks=checks,
+        warnings=(*episode.warnings, *found.warnings),
+        digest=model.digest,
+    )
+
+
+def _task(path: Path, episode: Episode, options: Options) -> Task:
+    if options.task is not None:
+        return TASKS[options.task]
+    kind = episode.info.kind
+    if kind and kind not in TASKS:
+        raise UsageError(f"{path}: holds a {kind!r}; what can be tuned is: {', '.join(TASKS)}")
+    return TASKS[kind or "drop"]
+
+
+def _preset(task: Task, options: Options) -> Preset:
+    if options.preset not in task.presets:
+        known = ", ".join(task.presets)
+        raise UsageError(f"{task.name} has no preset {options.preset!r}; there is: {known}")
+    return task.presets[options.preset]
+
+
+def _model(preset: Preset, options: Options) -> Model:
+    if options.weights is not None:
+        return load_model(options.weights, preset.purpose)
+    return shipped_model(preset.purpose)
+
+
+def _with_last_look(trace: Trace, problem: Problem) -> Trace:
+    """Simulate the result too: it is what gets checked and shown, and its rollout is counted."""
+    last = trace.steps[-1]
+    judged = Step(last.values, last.rollouts, problem.look(last.values))
+    return Trace((*trace.steps[:-1], judged))
+
+
+def _judge(checks: tuple[Check, ...], cross_check: CrossCheck | None) -> tuple[Verdict, str | None]:
+    failed = [check for check in checks if not check.passed]
+    fatal = [check for check in failed if check.fatal]
+    reasons = [f"{check.name}: {check.detail}" for check in fatal or failed]
+    if cross_check is not None and not cross_check.agrees:
+        reasons.append(f"{cross_check.method} give {cross_check.value:.3f}")
+    if fatal:
+        return "rejected", reasons[0]
+    return ("suspect", "; ".join(reasons)) if reasons else ("ok", None)

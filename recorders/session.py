@@ -1,0 +1,70 @@
+"""From a source of samples to a log: signals, counts, progress."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+
+from tunenet_logs.episode import Episode
+from tunenet_logs.progress import Progress
+from tunenet_logs.writer import EpisodeWriter
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a recorder counted.
+
+    Attributes:
+        ended: why it ended before its source did; "" if it did not.
+    """
+
+    captured: int
+    written: int
+    dropped: int
+    ended: str = ""
+
+
+@contextmanager
+def stop_flag() -> Iterator[threading.Event]:
+    """An event that SIGINT and SIGTERM set; a handler that raised would leave logs half written."""
+    event = threading.Event()
+
+    def stop(_signal: int, _frame: FrameType | None) -> None:
+        event.set()
+
+    previous = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield event
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+
+
+def record_episode(episode: Episode, path: Path, *, overwrite: bool, progress: Progress) -> Summary:
+    """Write the positions of a simulated episode as if they came from a sensor.
+
+    Raises:
+        LogError: `path` exists or cannot be written; what was written before is kept.
+    """
+    captured = 0
+    total = sum(len(one.stamps_ns) for one in episode.signals.values())
+    with (
+        stop_flag() as stop,
+        EpisodeWriter(path, episode.info, overwrite=overwrite) as writer,
+        progress.bar(total, "recording", "sample") as bar,
+    ):
+        for topic, one in episode.signals.items():
+            for stamp_ns, position_m in zip(one.stamps_ns, one.values, strict=True):
+                if stop.is_set():
+                    break
+                captured += 1
+                writer.write_pose(topic, int(stamp_ns), position_m)
+                bar.update(1)
+        writer.close(captured=captured, dropped=0)
+    ended = "stopped by a signal" if stop.is_set() else ""
+    return Summary(captured, writer.written, captured - writer.written, ended)
