@@ -8,27 +8,28 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 
-from analysis.report import to_json
+from analysis.report import Row, row_of, to_json
 from analysis.review import write_review
 from analysis.tuning import Options, Tuning, tune_log
-from tunenet_logs.errors import LogError, UsageError
+from tunenet_logs.errors import LogError, UsageError, WeightsError
 from tunenet_logs.progress import Progress
 from tunenet_logs.writer import ACTIVE_SUFFIX
 
 
 @dataclass(frozen=True)
 class Result:
-    """A tuning and where it went.
+    """What came of a log, and where it went.
 
     Attributes:
+        review: the recording to open; None if there is nothing to show.
         trouble: why results could not be written, one line; None if they were.
     """
 
-    tuning: Tuning
+    row: Row
     review: Path | None = None
     trouble: str | None = None
 
@@ -78,14 +79,14 @@ def _alone(log: Path, options: Options, name: Path) -> Result:
             return future.result()
         except BrokenProcessPool:
             reason = "the process that tuned it died (out of memory?)"
-            return Result(Tuning(log, options.task, options.preset, "rejected", reason))
+            return Result(row_of(Tuning(log, options.task, options.preset, "rejected", reason)))
 
 
 def _one(log: Path, options: Options, name: Path) -> Result:
     """Tune one log and write its results; runs in the worker processes."""
     try:
         tuning = tune_log(log, options)
-    except UsageError:
+    except (UsageError, WeightsError):  # the same for every log
         raise
     except Exception as error:  # noqa: BLE001 (a defect of ours must not cost the other logs)
         traceback.print_exc()
@@ -95,7 +96,7 @@ def _one(log: Path, options: Options, name: Path) -> Result:
     try:
         if log.is_file():
             name.parent.mkdir(parents=True, exist_ok=True)
-            if tuning.episode is not None:
+            if tuning.episode is not None and tuning.episode.signals:
                 review = name.with_name(name.name + ".rrd")
                 with _replacing(review) as partial:
                     write_review(tuning, partial)
@@ -105,8 +106,8 @@ def _one(log: Path, options: Options, name: Path) -> Result:
         trouble = (
             f"{error.filename or name.parent}: cannot be written ({error.strerror}); choose -o DIR"
         )
-        return Result(replace(tuning, episode=tuning.episode), None, trouble)
-    return Result(tuning, review)
+        return Result(row_of(tuning), None, trouble)
+    return Result(row_of(tuning), review)
 
 
 @contextmanager

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -91,38 +93,82 @@ def _bounces(tuning: Tuning) -> list[dict[str, Any]]:
     ]
 
 
-def table(tunings: Sequence[Tuning]) -> str:
+@dataclass(frozen=True)
+class Row:
+    """What a table shows of a tuning: small, so that it travels between processes.
+
+    Attributes:
+        read: whether the log could be read at all.
+        truth: what a simulator was set to, where the log says so; shown, never used.
+    """
+
+    log: Path
+    read: bool
+    verdict: str
+    reason: str | None
+    estimate: float | None
+    cross_check: float | None
+    drop_height_m: float | None
+    rollouts: int
+    seconds: float
+    truth: float | None
+    preset: str
+    physical: bool
+    warnings: tuple[str, ...]
+
+
+def row_of(tuning: Tuning) -> Row:
+    """The row of a tuning."""
+    episode, found = tuning.episode, tuning.found
+    return Row(
+        log=tuning.log,
+        read=episode is not None,
+        verdict=tuning.verdict,
+        reason=tuning.reason,
+        estimate=None if tuning.estimate is None else float(tuning.estimate[0]),
+        cross_check=None if tuning.cross_check is None else tuning.cross_check.value,
+        drop_height_m=None if found is None else found.drop.drop_height_m,
+        rollouts=tuning.rollouts,
+        seconds=tuning.seconds.get("total", 0.0),
+        truth=None if episode is None else episode.info.truth.get("restitution"),
+        preset=tuning.preset,
+        physical=tuning.physical,
+        warnings=tuning.warnings,
+    )
+
+
+def table(rows: Sequence[Row]) -> str:
     """One line a log, and a line below for each that is not plainly ok."""
-    rows = [("log", "verdict", "restitution", "cross-check", "drop", "rollouts", "time", "truth")]
-    rows += [_row(tuning) for tuning in tunings]
-    if all(row[-1] == "-" for row in rows[1:]):
-        rows = [row[:-1] for row in rows]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    cells = [("log", "verdict", "restitution", "cross-check", "drop", "rollouts", "time", "truth")]
+    cells += [_cells(row) for row in rows]
+    if all(row.truth is None for row in rows):
+        cells = [line[:-1] for line in cells]
+    widths = [max(len(line[column]) for line in cells) for column in range(len(cells[0]))]
     lines = [
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        for row in rows
+        "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
+        for line in cells
     ]
     out = [lines[0]]
-    for tuning, line in zip(tunings, lines[1:], strict=True):
+    for row, line in zip(rows, lines[1:], strict=True):
         out.append(line)
-        if tuning.reason:
-            out.append(f"  {tuning.verdict}: {tuning.reason}")
-        if tuning.estimate is not None and not tuning.physical:
-            out.append(f"  {tuning.preset}: the engine's number at 60 Hz, not the ball's own")
+        if row.reason:
+            out.append(f"  {row.verdict}: {row.reason}")
+        if row.estimate is not None and not row.physical:
+            out.append(f"  {row.preset}: the engine's number at 60 Hz, not the ball's own")
     return "\n".join(out)
 
 
-def _row(tuning: Tuning) -> tuple[str, ...]:
-    estimate, cross = tuning.estimate, tuning.cross_check
-    info = tuning.episode.info if tuning.episode else None
-    truth = info.truth.get("restitution") if info else None
+def _cells(row: Row) -> tuple[str, ...]:
+    def figure(value: float | None, form: str = ".4f", unit: str = "") -> str:
+        return "-" if value is None else f"{value:{form}}{unit}"
+
     return (
-        str(tuning.log),
-        tuning.verdict,
-        "-" if estimate is None else f"{estimate[0]:.4f}",
-        "-" if cross is None else f"{cross.value:.4f}",
-        "-" if tuning.found is None else f"{tuning.found.drop.drop_height_m:.3f} m",
-        str(tuning.rollouts),
-        f"{tuning.seconds.get('total', 0.0):.2f} s",
-        "-" if truth is None else f"{truth:.4f}",
+        str(row.log),
+        row.verdict,
+        figure(row.estimate),
+        figure(row.cross_check),
+        figure(row.drop_height_m, ".3f", " m"),
+        str(row.rollouts),
+        figure(row.seconds, ".2f", " s"),
+        figure(row.truth),
     )

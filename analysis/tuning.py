@@ -100,7 +100,7 @@ def tune_log(path: Path, options: Options) -> Tuning:
     """Tune from one log. What cannot be tuned comes back as "rejected", with the reason.
 
     Raises:
-        UsageError, WeightsError: the options fit no task, preset, topic or weights.
+        UsageError, WeightsError: the options fit no log: preset, initial value or weights.
     """
     watch = _Stopwatch()
     rejected = Tuning(path, options.task, options.preset, "rejected", None, seconds=watch.seconds)
@@ -110,7 +110,11 @@ def tune_log(path: Path, options: Options) -> Tuning:
         watch.lap("read")
         return replace(rejected, reason=str(error).removeprefix(f"{path}: "))
     watch.lap("read")
-    task = _task(path, episode, options)
+    kind = options.task or episode.info.kind or "drop"
+    if kind not in TASKS:
+        known = ", ".join(TASKS)
+        return replace(rejected, reason=f"holds a {kind!r}; what can be tuned is: {known}")
+    task = TASKS[kind]
     preset = _preset(task, options)
     rejected = replace(
         rejected,
@@ -148,15 +152,6 @@ def tune_log(path: Path, options: Options) -> Tuning:
         warnings=(*episode.warnings, *found.warnings),
         digest=model.digest,
     )
-
-
-def _task(path: Path, episode: Episode, options: Options) -> Task:
-    if options.task is not None:
-        return TASKS[options.task]
-    kind = episode.info.kind
-    if kind and kind not in TASKS:
-        raise UsageError(f"{path}: holds a {kind!r}; what can be tuned is: {', '.join(TASKS)}")
-    return TASKS[kind or "drop"]
 
 
 def _preset(task: Task, options: Options) -> Preset:

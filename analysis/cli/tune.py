@@ -91,16 +91,20 @@ def _tune(arguments: argparse.Namespace) -> int:
     jobs = arguments.jobs or len(os.sched_getaffinity(0))
     progress = Progress(quiet=arguments.quiet)
     results = tune_all(arguments.logs, options, arguments.output, jobs, progress)
-    print(table([result.tuning for result in results]))
+    rows = [result.row for result in results]
+    if any(row.read for row in rows):
+        print(table([row for row in rows if row.read]))
+    for row in rows:
+        remarks = row.warnings if row.read else (row.reason, *row.warnings)
+        for remark in remarks:
+            print(f"tunenet-tune: {row.log}: {remark}", file=sys.stderr)
     for result in results:
-        for warning in result.tuning.warnings:
-            print(f"tunenet-tune: {result.tuning.log}: {warning}", file=sys.stderr)
         if result.trouble:
             print(f"tunenet-tune: {result.trouble}", file=sys.stderr)
     reviews = [result.review for result in results if result.review]
     if reviews:
         print("\nreview: " + "\n        ".join(f"rerun {review}" for review in reviews))
-    failed = any(one.tuning.verdict == "rejected" or one.trouble for one in results)
+    failed = any(one.row.verdict == "rejected" or one.trouble for one in results)
     return int(failed)
 
 

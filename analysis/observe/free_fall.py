@@ -147,11 +147,10 @@ def _fit(seconds: Array, heights: Array, start: int, index: int, noise: float) -
     rest, end = rest_and_end(clock, heights, index, meeting, noise)
     if not len(rest) and not len(flight):
         raise NotFoundError("the recording ends before the ball rebounds")
-    level = float(np.median(heights[rest])) if len(rest) else float("nan")
-    if len(rest):
-        close = abs(level - meeting.contact_m) < _near_contact(meeting)
-        if close and 1.25 * noise / np.sqrt(len(rest)) < meeting.contact_sd_m:
-            meeting = meet_at(level, clock, heights, flight, meeting)
+    level, level_sd = _level(heights[rest])
+    close = abs(level - meeting.contact_m) < _near_contact(meeting)
+    if close and level_sd < meeting.contact_sd_m:
+        meeting = meet_at(level, clock, heights, flight, meeting)
     if not rebounds(clock[:end] - meeting.impact_s, heights[:end], meeting, noise):
         raise NotFoundError("the ball does not bounce: it stays where it lands")
     release_s, release_m = release(clock, heights, start, int(fall[-1]), meeting)
@@ -173,6 +172,17 @@ def _fit(seconds: Array, heights: Array, start: int, index: int, noise: float) -
         rest_m=level,
     )
     return drop, end
+
+
+def _level(heights: Array) -> tuple[float, float]:
+    """Height [m] of a ball at rest and its standard error; NaN where there are no samples.
+
+    The later half counts: the last bounces are too small to tell from rest.
+    """
+    late = heights[len(heights) // 2 :]
+    if not len(late):
+        return float("nan"), float("nan")
+    return float(np.median(late)), 1.25 * float(np.std(late)) / np.sqrt(len(late))
 
 
 def _near_contact(meeting: Meeting) -> float:

@@ -81,8 +81,7 @@ class Task(Protocol):
         """What is to be matched.
 
         Raises:
-            NotFoundError: the episode does not show the experiment; the message says why.
-            UsageError: the selection fits nothing in the episode.
+            NotFoundError: the selection does not show the experiment; the message says why.
         """
         ...
 

@@ -19,7 +19,7 @@ from analysis.tasks.drop_presets import PAPER_HEIGHT_M, PRESETS
 from recorders.simulators.contact import CALIBRATED, PAPER, ContactSettings
 from recorders.simulators.drop import RESTITUTION, TOPIC, DropRig, DropSimulator
 from tunenet_logs.episode import Episode, Signal
-from tunenet_logs.errors import NotFoundError, UsageError
+from tunenet_logs.errors import NotFoundError
 
 Array = NDArray[np.float64]
 
@@ -113,7 +113,7 @@ def _candidates(episode: Episode, selection: Selection) -> list[Signal]:
         if selection.topic in episode.signals:
             return [episode.signals[selection.topic]]
         known = ", ".join(sorted(episode.signals)) or "none"
-        raise UsageError(f"no usable topic {selection.topic}; there is: {known}")
+        raise NotFoundError(f"no usable topic {selection.topic}; there is: {known}")
     positions = [one for one in episode.signals.values() if one.columns == ("x", "y", "z")]
     if not positions:
         seen = ", ".join(f"{one.topic} ({one.type_name or 'no type'})" for one in episode.channels)

@@ -7,7 +7,6 @@ import os
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO
 
 import lz4.frame
 import zstandard
@@ -58,7 +57,10 @@ def read_records(path: Path, losses: list[str]) -> Iterator[McapRecord]:
                     )
                     yield record
         except DAMAGE as error:
-            losses.append(f"damaged at byte {_position(file)} of {size}: {_describe(error)}")
+            if file.tell() >= size:
+                losses.append("the end of the file is missing (a recording that did not end?)")
+            else:
+                losses.append(f"damaged before byte {file.tell()} of {size}: {_describe(error)}")
             return
         if not ended:
             losses.append("the end of the file is missing")
@@ -95,10 +97,6 @@ def _decompress(chunk: Chunk) -> bytes:
     if len(data) != limit:
         raise McapError(f"a chunk holds {len(data)} bytes where it states {limit}")
     return data
-
-
-def _position(file: IO[bytes]) -> int:
-    return file.tell()
 
 
 def _describe(error: Exception) -> str:
