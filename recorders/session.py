@@ -65,6 +65,6 @@ def record_episode(episode: Episode, path: Path, *, overwrite: bool, progress: P
                 captured += 1
                 writer.write_pose(topic, int(stamp_ns), position_m)
                 bar.update(1)
-        writer.close(captured=captured, dropped=0)
-    ended = "stopped by a signal" if stop.is_set() else ""
+        ended = "stopped by a signal" if stop.is_set() else ""
+        writer.close(ended, captured=captured, dropped=captured - writer.written)
     return Summary(captured, writer.written, captured - writer.written, ended)

@@ -6,9 +6,12 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tunenet_logs.commandline import Parser, run
-from tunenet_logs.episode import Channel, Episode, EpisodeInfo
+
+if TYPE_CHECKING:
+    from tunenet_logs.episode import Channel, Episode, EpisodeInfo
 
 _DESCRIPTION = """\
 Show what is in a log: what recorded it, its channels with their types, counts and

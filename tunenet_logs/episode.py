@@ -141,9 +141,10 @@ class EpisodeInfo:
             **groups,
         )
 
-    def counted(self, **counts: int) -> EpisodeInfo:
-        """The same with these counts."""
-        return replace(self, counts={**self.counts, **counts})
+    def ended(self, reason: str, **counts: int) -> EpisodeInfo:
+        """The same with what was counted, and why it ended if not by itself."""
+        notes = {**self.notes, "ended": reason} if reason else self.notes
+        return replace(self, counts={**self.counts, **counts}, notes=notes)
 
 
 @dataclass(frozen=True)

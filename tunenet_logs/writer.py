@@ -29,8 +29,8 @@ class EpisodeWriter:
 
     The file is named `NAME.mcap.active` until it is whole. Chunks are small and closed at least
     every 0.1 s of writing, so a killed recorder loses the last moments at most. The first write
-    error ends the recording: the file is cut back to its last whole chunk, stays readable under its
-    `.active` name, and LogError says so.
+    error ends the recording: the file keeps its whole chunks, stays readable under its `.active`
+    name, and LogError says so.
 
     Args:
         path: the finished log.
@@ -49,7 +49,6 @@ class EpisodeWriter:
         self._schemas: dict[str, int] = {}
         self._sequences: dict[str, int] = {}
         self._failed = False
-        self._safe_bytes = 0
         if path.is_dir():
             raise LogError(f"{path}: is a directory; name a file to write")
         if path.exists() and not overwrite:
@@ -88,15 +87,16 @@ class EpisodeWriter:
         """Messages accepted so far."""
         return sum(self._sequences.values())
 
-    def close(self, **counts: int) -> None:
+    def close(self, ended: str = "", **counts: int) -> None:
         """Finish the log and give it its name. Safe to call twice.
 
         Args:
+            ended: why the recording ended before its source did.
             counts: what the recorder counted, beside `written`.
         """
         if self._file.closed:
             return
-        info = self.info.counted(**counts, written=self.written)
+        info = self.info.ended(ended, **counts, written=self.written)
         with self._guarded():
             self._writer.add_metadata(INFO_RECORD, info.to_strings())
             self._writer.finish()
@@ -145,7 +145,6 @@ class EpisodeWriter:
 
     def _flush(self) -> None:
         self._writer.flush()
-        self._safe_bytes = self._file.tell()
         self._flushed_at = time.monotonic()
 
     @contextmanager
@@ -157,8 +156,6 @@ class EpisodeWriter:
             self._failed = True
             with suppress(OSError):  # it may fail again, on the bytes that it still holds
                 self._file.close()
-            with suppress(OSError):
-                os.truncate(self.active_path, self._safe_bytes)
             raise LogError(
                 f"{self.path}: writing failed ({error.strerror}); what was written before is kept "
                 f"in {self.active_path.name}; free some space and record again"

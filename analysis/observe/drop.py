@@ -72,15 +72,18 @@ def paper_heights(drop: Drop) -> Observation:
     """400 samples of z [m] at 60 Hz from the release, as the paper's network has them.
 
     z is that of a ball of 0.5 m radius on a plane at z = 0. The engine's step (v += -g dt, then
-    z += v dt) puts its k-th sample where free fall is after k + 1/2 periods. A recording that ends
-    with the ball at rest goes on with it at rest; else what is missing is NaN.
+    z += v dt) puts its k-th sample where free fall is after k + 1/2 periods. A recording that
+    starts with the release, to within a sample or so, is taken from its first sample on. One that
+    ends with the ball at rest goes on with it at rest; else what is missing is NaN.
     """
+    period_s = 1 / PAPER_RATE_HZ
     axis = _paper_axis()
-    seconds = drop.seconds - drop.release_s
-    values = resample(seconds, drop.heights_m - drop.contact_m, axis + 0.5 / PAPER_RATE_HZ)
-    values[axis < seconds[0]] = drop.release_m - drop.contact_m
+    wanted = axis + drop.release_s + period_s / 2
+    if abs(drop.seconds[0] - drop.release_s - period_s / 2) < 1.5 * period_s:
+        wanted = axis + drop.seconds[0] - period_s
+    values = resample(drop.seconds, drop.heights_m - drop.table_m, wanted)
     if not np.isnan(drop.rest_m):
-        values[axis > seconds[-1]] = drop.rest_m - drop.contact_m
+        values[wanted > drop.seconds[-1]] = 0.0
     return _paper_observation(values + PAPER_RADIUS_M)
 
 

@@ -67,6 +67,14 @@ class Drop:
     rest_m: float
 
     @property
+    def table_m(self) -> float:
+        """Height of the ball on the table [m]: at rest where that is seen, else at contact.
+
+        In a simulator with large steps a ball hits well below that.
+        """
+        return self.contact_m if np.isnan(self.rest_m) else self.rest_m
+
+    @property
     def fall_time_s(self) -> float:
         """Time of a fall from rest to the impact's speed [s]."""
         return self.impact_speed_m_s / self.gravity_m_s2
@@ -123,9 +131,10 @@ def _impact_candidates(seconds: Array, heights: Array) -> list[int]:
     times = times - times.mean(axis=1, keepdims=True)
     slopes = (times * values).sum(axis=1) / (times**2).sum(axis=1)
     before, after = slopes[:-width], slopes[width:]  # of sample i + width
-    jump = np.where((before < 0) & (after > 0.5 * before), after - before, 0.0)
+    fast = before < 0.3 * min(before.min(), 0.0)
+    jump = np.where(fast & (after > 0.5 * before), after - before, 0.0)
     peaks: list[int] = []
-    for index in np.flatnonzero(jump > 0.35 * jump.max()):
+    for index in np.flatnonzero(jump > 0.35 * max(jump.max(), 1e-9)):
         if peaks and index - peaks[-1] <= width:
             peaks[-1] = max(peaks[-1], int(index), key=lambda at: jump[at])
         else:

@@ -9,13 +9,18 @@ import rerun.blueprint as rrb
 from analysis.review.sending import send_scalars
 from analysis.review.story import OBSERVED, Curve, Story
 
+_MANY = 400
+"""Samples above which dots would hide the lines."""
+
 
 def log_plots(stream: rr.RecordingStream, story: Story) -> None:
     """Send the entities of `height_view` and `residual_view`."""
     for k, curve in enumerate(story.simulated):
         _log_line(stream, f"height/k{k}", curve)
         _log_line(stream, f"residual/k{k}", curve.minus(story.observed))
-    points = rr.SeriesPoints(colors=[OBSERVED], names=["observed"], marker_sizes=[2.0])
+    dense = len(story.observed.seconds) > _MANY
+    size = 1.0 if dense else 2.0
+    points = rr.SeriesPoints(colors=[OBSERVED], names=["observed"], marker_sizes=[size])
     stream.log("height/observed", points, static=True)
     send_scalars(stream, "height/observed", story.observed.seconds, story.observed.heights_m)
     mark = rr.SeriesPoints(

@@ -22,7 +22,8 @@ def log_scene(stream: rr.RecordingStream, story: Story) -> None:
     balls = [story.observed, *story.simulated]
     radius = _BALL * story.drop_height_m
     places = (np.arange(len(balls)) - (len(balls) - 1) / 2) * _PITCH * radius
-    half, thick = places[-1] + 2.5 * radius, 0.2 * radius
+    places[0] -= _PITCH / 3 * radius
+    half, thick = 2.5 * radius - places[0], 0.2 * radius
     stream.log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     table = rr.Boxes3D(
         centers=[[0, 0, -thick]],
@@ -62,8 +63,8 @@ def scene_view(story: Story) -> rrb.View:
         background=_GROUND,
         line_grid=False,
         eye_controls=rrb.EyeControls3D(
-            position=(0.0, -1.35 * top, 0.62 * top),
-            look_target=(0.0, 0.0, 0.46 * top),
+            position=(0.0, -1.42 * top, 0.62 * top),
+            look_target=(0.0, 0.0, 0.48 * top),
             eye_up=(0.0, 0.0, 1.0),
         ),
     )

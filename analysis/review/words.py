@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from analysis.tuning import Tuning
 
+_SHOWN = 7
+"""Iterations in the table: the last ones."""
+
 
 def result_words(tuning: Tuning) -> str:
     """Verdict, iterations and checks as Markdown."""
@@ -17,8 +20,12 @@ def result_words(tuning: Tuning) -> str:
             f"{tuning.method}, preset {tuning.preset}, {tuning.rollouts} rollouts"
             + ("" if tuning.physical else "; the engine's number at 60 Hz, not the ball's own")
         )
-        rows = [f"| {k} | {step.values[0]:.4f} |" for k, step in enumerate(tuning.trace.steps)]
-        lines.append("\n".join(["| k | restitution |", "| --- | --- |", *rows]))
+        shown = list(enumerate(tuning.trace.steps))[-_SHOWN:]
+        cells = [(str(k), f"{step.values[0]:.4f}") for k, step in shown]
+        rows = [
+            "| " + " | ".join(row) + " |" for row in zip(("k", "restitution"), *cells, strict=True)
+        ]
+        lines.append("\n".join([rows[0], "|" + " --- |" * (len(cells) + 1), rows[1]]))
     checks = [
         f"| {one.name} | {'passed' if one.passed else '**failed**'} | {one.detail} |"
         for one in tuning.checks

@@ -183,7 +183,7 @@ def _paper_warnings(drop: Drop, target: Observation) -> list[str]:
             "the paper's network needs 400 samples at 60 Hz: record 6.7 s from the release on, "
             "or use --preset default"
         )
-    height = drop.release_m - drop.contact_m + views.PAPER_RADIUS_M
+    height = drop.release_m - drop.table_m + views.PAPER_RADIUS_M
     low, high = PAPER_HEIGHT_M
     if low - 0.1 <= height <= high + 0.1:
         return []
@@ -197,7 +197,7 @@ def _rig_like(found: FoundDrop) -> tuple[DropRig, ContactSettings]:
     """The rig whose rollouts show the same drop at the same stamps."""
     drop = found.drop
     if not PRESETS[found.preset].physical:
-        gap = drop.release_m - drop.contact_m
+        gap = drop.release_m - drop.table_m
         start_ns = found.start_ns + round(1e9 * drop.release_s)
         return DropRig(gap, views.PAPER_RADIUS_M, views.PAPER_RATE_HZ, start_ns=start_ns), PAPER
     period_s = float(np.median(np.diff(drop.seconds)))

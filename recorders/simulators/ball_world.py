@@ -11,10 +11,7 @@ from recorders.simulators.engine import pybullet
 
 
 class BallWorld:
-    """One physics client with a plane at z = 0 and a ball of 1 kg; used for many rollouts.
-
-    Repeated rollouts in one world are bit-identical.
-    """
+    """One physics client with a plane at z = 0 and a ball of 1 kg; used for many rollouts."""
 
     def __init__(self, radius_m: float, contact: ContactSettings) -> None:
         self.radius_m = radius_m
@@ -32,9 +29,20 @@ class BallWorld:
         # Bullet multiplies the two restitutions, and a plane's is 0 by default.
         self._change(engine.createMultiBody(0, plane, physicsClientId=client), restitution=1.0)
         self._ball = engine.createMultiBody(1.0, sphere, physicsClientId=client)
+        self._fresh = engine.saveState(physicsClientId=client)
 
     def place(self, gap_m: float, restitution: float) -> None:
-        """Put the ball at rest with its underside `gap_m` over the plane."""
+        """Put the ball at rest with its underside `gap_m` over the plane.
+
+        All else is forgotten: contacts that the engine keeps from one rollout would change the
+        next, and its breaking threshold is one global of the process, which another world may
+        have set.
+        """
+        self._engine.restoreState(self._fresh, physicsClientId=self._client)
+        self._engine.setPhysicsEngineParameter(
+            contactBreakingThreshold=self.contact.breaking_threshold_m,
+            physicsClientId=self._client,
+        )
         self._change(self._ball, restitution=restitution)
         self._engine.resetBasePositionAndOrientation(
             self._ball, [0, 0, self.radius_m + gap_m], [0, 0, 0, 1], physicsClientId=self._client

@@ -20,7 +20,8 @@ class ContactSettings:
     Attributes:
         name: the preset these belong to.
         gravity_m_s2: downward acceleration.
-        engine: arguments of `setPhysicsEngineParameter`; empty for the engine's defaults.
+        breaking_threshold_m: distance at which contacts are made; 0.02 is the engine's default.
+        engine: other arguments of `setPhysicsEngineParameter`; empty for the engine's defaults.
         body: arguments of `changeDynamics` for both bodies; empty for the engine's defaults.
         meet_impacts: cut the step that reaches the surface so that it ends there, and integrate
             flight exactly; else plain fixed steps.
@@ -29,6 +30,7 @@ class ContactSettings:
 
     name: str
     gravity_m_s2: float
+    breaking_threshold_m: float
     engine: tuple[tuple[str, float], ...]
     body: tuple[tuple[str, float], ...]
     meet_impacts: bool
@@ -38,8 +40,8 @@ class ContactSettings:
 CALIBRATED = ContactSettings(
     name="default",
     gravity_m_s2=9.80665,
+    breaking_threshold_m=1e-4,
     engine=(
-        ("contactBreakingThreshold", 1e-4),
         ("contactSlop", 0.0),
         ("erp", 0.0),
         ("contactERP", 0.0),
@@ -55,7 +57,14 @@ CALIBRATED = ContactSettings(
 )
 """Restitution set = restitution got."""
 
-PAPER = ContactSettings(name="paper", gravity_m_s2=9.8, engine=(), body=(), meet_impacts=False)
+PAPER = ContactSettings(
+    name="paper",
+    gravity_m_s2=9.8,
+    breaking_threshold_m=0.02,
+    engine=(),
+    body=(),
+    meet_impacts=False,
+)
 """PyBullet's defaults, stepped once a sample: the paper's simulator (at 60 Hz)."""
 
 PRESETS = {settings.name: settings for settings in (CALIBRATED, PAPER)}

@@ -1,0 +1,65 @@
+"""Accuracy of `tunenet-tune`, K = 5, on fresh drops: clean ones of ours, noisy ones in closed form.
+
+`python -m benchmarks.accuracy` prints mean and median absolute errors; beside the network's, those
+of the speeds just after and before the first impact, which need no simulator.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from analysis.tuning import Options, tune_log
+from recorders.session import record_episode
+from recorders.simulated_drop import DropOrder, simulate_drop
+from tunenet_logs.progress import Progress
+
+COUNT = 200
+SEEDS = (1, 2, 3)
+
+
+def errors(noise_m: float, hold_s: float, seed: int) -> np.ndarray:
+    """Absolute errors of the tuning and of the cross-check, shape (answered, 2)."""
+    rng = np.random.default_rng(seed)
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        for index in range(COUNT):
+            truth = float(rng.uniform(0.1, 0.95))
+            order = DropOrder(
+                restitution=truth,
+                height_m=float(rng.uniform(0.3, 5.0)),
+                radius_m=float(rng.uniform(0.02, 0.5)),
+                rate_hz=float(rng.uniform(60, 240)),
+                hold_s=hold_s,
+                noise_m=noise_m,
+                seed=int(rng.integers(2**31)),
+            )
+            path = Path(folder) / f"{index}.mcap"
+            quiet = Progress(quiet=True)
+            record_episode(simulate_drop(order), path, overwrite=False, progress=quiet)
+            tuning = tune_log(path, Options())
+            if tuning.estimate is not None:
+                check = tuning.cross_check.value if tuning.cross_check else np.nan
+                rows.append([tuning.estimate[0] - truth, check - truth])
+    return np.abs(np.array(rows))
+
+
+def main() -> None:
+    print("restitution .1 to .95, falls of 0.3 to 5 m, radius 0.02 to 0.5 m, 60 to 240 Hz")
+    print(f"{len(SEEDS)} seeds of {COUNT} drops; mean over seeds (lowest to highest)")
+    for noise_m, hold_s in ((0.0, 0.0), (0.001, 0.5), (0.005, 0.5)):
+        runs = [errors(noise_m, hold_s, seed) for seed in SEEDS]
+        means = [run[:, 0].mean() for run in runs]
+        medians = [np.median(run[:, 0]) for run in runs]
+        speeds = [np.nanmean(run[:, 1]) for run in runs]
+        print(
+            f"noise {1000 * noise_m:g} mm, {sum(map(len, runs))} answered: "
+            f"mean {np.mean(means):.6f} ({min(means):.6f} to {max(means):.6f}), "
+            f"median {np.mean(medians):.6f}; speeds alone: mean {np.mean(speeds):.6f}"
+        )
+
+
+if __name__ == "__main__":
+    main()

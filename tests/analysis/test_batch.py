@@ -1,0 +1,75 @@
+"""Many logs: one bad one never stops the rest, and results go where they should."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from analysis.batch import tune_all
+from analysis.tuning import Options
+from tests.conftest import record
+from tunenet_logs.errors import LogError, UsageError, WeightsError
+from tunenet_logs.progress import Progress
+
+QUIET = Progress(quiet=True)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_bad_log_never_stops_the_rest(tmp_path: Path, jobs: int):
+    good = [record(tmp_path / f"{name}.mcap", restitution=0.6, height_m=1.0) for name in ("a", "c")]
+    (tmp_path / "b.mcap").write_text("not a log")
+    logs = [good[0], tmp_path / "b.mcap", tmp_path / "missing.mcap", good[1]]
+    results = tune_all(logs, Options(), tmp_path / "out", jobs, QUIET)
+    assert [result.row.verdict for result in results] == ["ok", "rejected", "rejected", "ok"]
+    assert [result.row.log for result in results] == logs
+    names = sorted(path.name for path in (tmp_path / "out").iterdir())
+    assert names == ["a.json", "a.rrd", "b.json", "c.json", "c.rrd"]
+    report = json.loads((tmp_path / "out" / "b.json").read_text())
+    assert report["verdict"] == "rejected"
+    assert report["parameters"] is None
+    assert report["reason"]
+
+
+def test_results_lie_beside_the_log_and_replace_older_ones(tmp_path: Path):
+    path = record(tmp_path / "a.mcap", restitution=0.6, height_m=1.0)
+    (tmp_path / "a.json").write_text("old")
+    tune_all([path], Options(), None, 1, QUIET)
+    assert json.loads((tmp_path / "a.json").read_text())["verdict"] == "ok"
+    assert not list(tmp_path.glob("*.partial"))
+
+
+def test_logs_of_one_stem_get_their_folders_names(tmp_path: Path):
+    logs = []
+    for folder in ("left", "right"):
+        (tmp_path / folder).mkdir()
+        logs.append(record(tmp_path / folder / "drop.mcap", restitution=0.6, height_m=1.0))
+    tune_all(logs, Options(), tmp_path / "out", 1, QUIET)
+    names = sorted(path.name for path in (tmp_path / "out").glob("*.json"))
+    assert names == ["left_drop.json", "right_drop.json"]
+
+
+def test_the_same_log_twice_is_tuned_once(tmp_path: Path):
+    path = record(tmp_path / "a.mcap", restitution=0.6, height_m=1.0)
+    assert len(tune_all([path, path], Options(), None, 1, QUIET)) == 1
+
+
+def test_an_output_that_is_a_file_is_refused_before_any_work(drop_log: Path):
+    with pytest.raises(LogError, match="not a folder"):
+        tune_all([drop_log], Options(), drop_log, 1, QUIET)
+
+
+def test_an_output_that_cannot_be_written_is_told_with_the_result(drop_log: Path):
+    (result,) = tune_all([drop_log], Options(), Path("/proc/nowhere"), 1, QUIET)
+    assert result.row.verdict == "ok"
+    assert "cannot be written" in (result.trouble or "")
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_options_that_fit_no_log_stop_at_once(drop_log: Path, tmp_path: Path, jobs: int):
+    other = record(tmp_path / "b.mcap", restitution=0.6, height_m=1.0)
+    with pytest.raises(WeightsError):
+        tune_all([drop_log, other], Options(weights=drop_log), None, jobs, QUIET)
+    with pytest.raises(UsageError):
+        tune_all([drop_log, other], Options(initial=2.0), None, jobs, QUIET)

@@ -1,0 +1,98 @@
+"""tunenet-tune and tunenet-train as a user runs them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import Command
+
+
+def test_tune_prints_a_table_and_says_how_to_look(command: Command, drop_log: Path):
+    result = command("tunenet-tune", drop_log)
+    assert result.returncode == 0, result.stderr
+    assert "0.7000" in result.stdout
+    assert f"rerun {drop_log.with_suffix('.rrd')}" in result.stdout
+    assert not result.stderr
+    assert drop_log.with_suffix(".json").exists()
+    assert drop_log.with_suffix(".rrd").exists()
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda path: None, "no such file"),
+        (lambda path: path.mkdir(), "is a directory"),
+        (lambda path: path.write_bytes(b""), "is empty"),
+        (lambda path: path.write_text("hello"), "not an MCAP log"),
+    ],
+    ids=["missing", "directory", "empty", "text"],
+)
+def test_a_bad_log_is_one_line_and_exit_code_1(command: Command, tmp_path: Path, make, says: str):
+    path = tmp_path / "a.mcap"
+    make(path)
+    result = command("tunenet-tune", path)
+    assert result.returncode == 1
+    assert not result.stdout
+    assert result.stderr.count("\n") == 1
+    assert says in result.stderr
+    assert str(path) in result.stderr
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--iterations", "0"),
+        ("--initial", "1.2"),
+        ("--initial", "nan"),
+        ("--preset", "best"),
+        ("--start", "3", "--end", "2"),
+        ("--unknown",),
+    ],
+)
+def test_wrong_usage_is_one_line_and_exit_code_2(command: Command, drop_log: Path, words):
+    result = command("tunenet-tune", drop_log, *words)
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert not drop_log.with_suffix(".json").exists()
+
+
+def test_weights_meant_for_another_preset_are_refused(command: Command, drop_log: Path):
+    import analysis.tunenet
+
+    shipped = Path(analysis.tunenet.__path__[0]) / "weights" / "drop-paper.safetensors"
+    result = command("tunenet-tune", drop_log, "--weights", shipped)
+    assert result.returncode == 1
+    assert result.stderr.count("\n") == 1
+    assert "preset 'paper', not 'default'" in result.stderr
+
+
+def test_an_output_that_cannot_be_written_is_one_line(command: Command, drop_log: Path):
+    result = command("tunenet-tune", drop_log, "-o", "/proc/nowhere")
+    assert result.returncode == 1
+    assert "0.7000" in result.stdout
+    assert result.stderr.count("\n") == 1
+    assert "choose -o" in result.stderr
+
+
+def test_train_writes_weights_that_tune_takes(command: Command, drop_log: Path, tmp_path: Path):
+    weights = tmp_path / "w.safetensors"
+    words = ("--pairs", 2000, "--epochs", 5, "-o", weights)
+    result = command("tunenet-train", "drop", *words)
+    assert result.returncode == 0, result.stderr
+    assert "s in all" in result.stdout
+    assert command("tunenet-tune", drop_log, "--weights", weights).returncode == 0
+    again = command("tunenet-train", "drop", *words)
+    assert again.returncode == 1
+    assert "--overwrite" in again.stderr
+
+
+@pytest.mark.parametrize(
+    "name", ["tunenet-tune", "tunenet-train", "tunenet-record", "tunenet-logs"]
+)
+def test_help_shows_examples(command: Command, name: str):
+    result = command(name, "--help")
+    assert result.returncode == 0
+    assert "examples:" in result.stdout
+    assert f"  {name} " in result.stdout

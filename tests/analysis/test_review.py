@@ -1,0 +1,91 @@
+"""The review is whole, opens with its own blueprint, and holds what it should on both timelines."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rerun.chunk import RrdReader
+
+from analysis.review import write_review
+from analysis.tuning import Options, Tuning, tune_log
+from tests.conftest import BIN, record
+from tests.strangers import Stranger, write_poses
+
+
+def verified(path: Path) -> None:
+    words = [BIN / "rerun", "rrd", "verify", path]
+    result = subprocess.run(words, capture_output=True, text=True, timeout=60)
+    assert result.returncode == 0, result.stderr
+
+
+def contents(path: Path) -> dict[str, set[str]]:
+    """Timelines of each entity; "static" where it has no time."""
+    found: dict[str, set[str]] = {}
+    for chunk in RrdReader(path).stream():
+        times = set(chunk.timeline_names) if not chunk.is_static else {"static"}
+        found.setdefault(str(chunk.entity_path), set()).update(times)
+    return found
+
+
+@pytest.fixture
+def tuned(drop_log: Path) -> Tuning:
+    return tune_log(drop_log, Options())
+
+
+def test_every_iteration_lies_on_the_logs_time(tuned: Tuning, tmp_path: Path):
+    write_review(tuned, tmp_path / "a.rrd")
+    verified(tmp_path / "a.rrd")
+    entities = contents(tmp_path / "a.rrd")
+    for k in range(6):
+        for place in (f"/height/k{k}", f"/residual/k{k}", f"/scene/k{k}"):
+            assert entities[place] == {"static", "log_time_s"}, place
+    for place in ("/height/observed", "/scene/observed"):
+        assert entities[place] == {"static", "log_time_s"}
+    assert entities["/result"] == {"static"}
+
+
+def test_iterations_can_be_scrubbed_over_a_fixed_observed_curve(tuned: Tuning, tmp_path: Path):
+    write_review(tuned, tmp_path / "a.rrd")
+    entities = contents(tmp_path / "a.rrd")
+    assert entities["/sheets/heights/observed"] == {"static"}
+    assert entities["/sheets/heights/simulated"] >= {"iteration"}
+    assert entities["/sheets/convergence/values"] == {"static"}
+    assert entities["/step"] >= {"iteration"}
+
+
+@pytest.mark.parametrize("preset", ["paper", "paper-code"])
+def test_the_papers_presets_have_a_review_too(tmp_path: Path, preset: str):
+    path = record(tmp_path / "a.mcap", preset="paper", restitution=0.5, height_m=4.0)
+    write_review(tune_log(path, Options(preset=preset)), tmp_path / "a.rrd")
+    verified(tmp_path / "a.rrd")
+
+
+def test_a_rejected_log_shows_what_was_recorded(tmp_path: Path):
+    path = record(tmp_path / "a.mcap", restitution=0.0, height_m=1.0)
+    write_review(tune_log(path, Options()), tmp_path / "a.rrd")
+    verified(tmp_path / "a.rrd")
+    assert "/recorded/ball/pose/z" in contents(tmp_path / "a.rrd")
+
+
+def test_names_of_a_stranger_do_no_harm(tmp_path: Path):
+    stamps, positions = Stranger(0.0).samples()
+    topic = "/../we ird/тема//[x]{y}/\x07"
+    write_poses(tmp_path / "a.mcap", stamps, positions, topic=topic)
+    write_review(tune_log(tmp_path / "a.mcap", Options()), tmp_path / "a.rrd")
+    verified(tmp_path / "a.rrd")
+
+
+def test_a_place_that_cannot_be_written_raises(tuned: Tuning):
+    with pytest.raises(OSError, match="proc"):
+        write_review(tuned, Path("/proc/nowhere/a.rrd"))
+
+
+def test_the_simulated_curve_of_the_result_lies_on_the_observed_one(tuned: Tuning):
+    from analysis.review.story import story_of
+
+    story = story_of(tuned)
+    off = story.simulated[-1].minus(story.observed).heights_m
+    assert np.abs(off).max() < 1e-3

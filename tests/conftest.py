@@ -1,0 +1,43 @@
+"""Shared fixtures: the commands as a user runs them, and one simulated log."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from recorders.session import record_episode
+from recorders.simulated_drop import DropOrder, simulate_drop
+from tunenet_logs.progress import Progress
+
+ROOT = Path(__file__).resolve().parents[1]
+BIN = Path(sys.executable).parent
+
+Command = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture(scope="session")
+def command() -> Command:
+    """Run a console script in a process of its own."""
+
+    def run(name: str, *arguments: object, cwd: Path | None = None):
+        words = [str(BIN / name), *(str(one) for one in arguments)]
+        return subprocess.run(words, cwd=cwd, capture_output=True, text=True, timeout=120)
+
+    return run
+
+
+def record(path: Path, **order: object) -> Path:
+    """Simulate a drop and record it."""
+    episode = simulate_drop(DropOrder(**order))  # type: ignore[arg-type]
+    record_episode(episode, path, overwrite=False, progress=Progress(quiet=True))
+    return path
+
+
+@pytest.fixture
+def drop_log(tmp_path: Path) -> Path:
+    """A log of ours: restitution 0.7 from 1 m."""
+    return record(tmp_path / "drop.mcap", restitution=0.7, height_m=1.0)

@@ -1,0 +1,47 @@
+"""A recording that is stopped by a signal ends whole."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from recorders.session import record_episode
+from recorders.simulated_drop import DropOrder, simulate_drop
+from tunenet_logs.progress import Bar, Progress
+from tunenet_logs.reader import read_episode
+
+
+class StopsAfter(Progress):
+    """Sends a real signal to this process after so many samples."""
+
+    def __init__(self, samples: int) -> None:
+        super().__init__(quiet=True)
+        self.left = samples
+
+    @contextmanager
+    def bar(self, total: int, what: str, unit: str) -> Iterator[Bar]:  # noqa: ARG002
+        yield self
+
+    def update(self, done: int, /) -> None:
+        self.left -= done
+        if self.left == 0:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+
+def test_a_signal_ends_the_recording_cleanly(tmp_path: Path):
+    episode = simulate_drop(DropOrder(seed=1))
+    before = signal.getsignal(signal.SIGTERM)
+    summary = record_episode(
+        episode, tmp_path / "a.mcap", overwrite=False, progress=StopsAfter(100)
+    )
+    assert summary.ended
+    assert summary.captured == summary.written == 100
+    back = read_episode(tmp_path / "a.mcap")
+    assert len(back.signals["/ball/pose"].values) == 100
+    assert back.info.counts["written"] == 100
+    assert "signal" in back.info.notes["ended"]
+    assert not back.warnings
+    assert signal.getsignal(signal.SIGTERM) is before

@@ -1,0 +1,110 @@
+"""The direction of imports, no circles, and nothing heavy before it is needed."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("tunenet_logs", "recorders", "analysis")
+ALLOWED = {
+    "tunenet_logs": {"tunenet_logs"},
+    "recorders": {"tunenet_logs", "recorders"},
+    "analysis": {"tunenet_logs", "recorders", "analysis"},
+}
+HEAVY = {"torch", "pybullet", "rerun", "cv2", "av", "pinocchio", "pandas", "tqdm"}
+OWNERS = {"rerun": "analysis/review/"}
+FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+
+
+def imported(node: ast.AST) -> list[str]:
+    if isinstance(node, ast.Import):
+        return [alias.name for alias in node.names]
+    if isinstance(node, ast.ImportFrom) and node.module:
+        return [node.module]
+    return []
+
+
+def module_level(tree: ast.Module) -> list[str]:
+    """Imports that run when the module is imported, those under TYPE_CHECKING aside."""
+    names: list[str] = []
+    for node in tree.body:
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            continue
+        names += (
+            [name for inner in ast.walk(node) for name in imported(inner)]
+            if not isinstance(node, ast.FunctionDef | ast.ClassDef)
+            else []
+        )
+    return names
+
+
+def name_of(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+@pytest.mark.parametrize("path", FILES, ids=name_of)
+def test_imports_point_down(path: Path):
+    package = path.relative_to(ROOT).parts[0]
+    for node in ast.walk(ast.parse(path.read_text())):
+        for name in imported(node):
+            top = name.split(".")[0]
+            if top in PACKAGES:
+                assert top in ALLOWED[package], f"{path}: {package} must not import {name}"
+
+
+@pytest.mark.parametrize("path", FILES, ids=name_of)
+def test_heavy_libraries_are_imported_when_needed(path: Path):
+    for name in module_level(ast.parse(path.read_text())):
+        top = name.split(".")[0]
+        if top in HEAVY:
+            owner = OWNERS.get(top)
+            assert owner, f"{path}: import {top} where it is needed, not at module level"
+            assert str(path.relative_to(ROOT)).startswith(owner)
+
+
+def test_no_module_imports_itself_through_others():
+    modules = {name_of(path): path for path in FILES}
+    edges = {
+        name: {one for one in module_level(ast.parse(path.read_text())) if one in modules}
+        for name, path in modules.items()
+    }
+    done: set[str] = set()
+
+    def visit(name: str, trail: tuple[str, ...]) -> None:
+        assert name not in trail, " -> ".join((*trail, name))
+        if name not in done:
+            for one in edges[name]:
+                visit(one, (*trail, name))
+            done.add(name)
+
+    for name in modules:
+        visit(name, ())
+
+
+@pytest.mark.parametrize(
+    "module", ["tunenet_logs.cli", "recorders.cli", "analysis.cli.tune", "analysis.cli.train"]
+)
+def test_help_loads_nothing_heavy(module: str):
+    code = (
+        f"import sys; from {module} import build_parser; build_parser().format_help(); "
+        f"print(sorted({HEAVY | {'numpy', 'rosbags', 'mcap', 'scipy'}} & set(sys.modules)))"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert result.stdout.strip() == "[]", result.stdout + result.stderr
+
+
+def test_tuning_never_loads_torch():
+    code = "import sys, analysis.batch, analysis.tuning; print('torch' in sys.modules)"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert result.stdout.strip() == "False", result.stderr
+
+
+@pytest.mark.parametrize("path", FILES, ids=name_of)
+def test_a_file_is_one_idea(path: Path):
+    assert len(path.read_text().splitlines()) <= 350

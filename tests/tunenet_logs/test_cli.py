@@ -1,0 +1,28 @@
+"""tunenet-logs as a user runs it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tests.conftest import Command
+
+
+def test_info_tells_what_is_in_a_log(command: Command, drop_log: Path):
+    result = command("tunenet-logs", "info", drop_log)
+    assert result.returncode == 0
+    for fact in ("kind: drop", "/ball/pose", "PoseStamped", "400", "60.0 Hz", "restitution 0.7"):
+        assert fact in result.stdout
+
+
+def test_info_of_what_is_no_log_is_one_line(command: Command, tmp_path: Path):
+    (tmp_path / "a.txt").write_text("hello")
+    result = command("tunenet-logs", "info", tmp_path / "a.txt")
+    assert result.returncode == 1
+    assert result.stderr.count("\n") == 1
+    assert "a.txt" in result.stderr
+
+
+def test_no_verb_is_wrong_usage(command: Command):
+    result = command("tunenet-logs")
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1

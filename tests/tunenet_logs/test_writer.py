@@ -1,0 +1,200 @@
+"""What was written stays: in our reader and in others', when killed, when the disk is full."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from rosbags.highlevel import AnyReader
+
+from tests.conftest import BIN
+from tunenet_logs.episode import EpisodeInfo, Frame
+from tunenet_logs.errors import LogError
+from tunenet_logs.reader import read_episode
+from tunenet_logs.writer import EpisodeWriter
+
+INFO = EpisodeInfo(kind="drop", source="a test", truth={"restitution": 0.5})
+PERIOD_NS = 10_000_000
+
+
+def write(path: Path, count: int = 100) -> np.ndarray:
+    positions = np.random.default_rng(0).normal(size=(count, 3))
+    with EpisodeWriter(path, INFO) as writer:
+        for index, position in enumerate(positions):
+            writer.write_pose("/ball/pose", index * PERIOD_NS, position)
+    return positions
+
+
+def test_comes_back_bit_for_bit(tmp_path: Path):
+    positions = write(tmp_path / "a.mcap")
+    episode = read_episode(tmp_path / "a.mcap")
+    ball = episode.signals["/ball/pose"]
+    assert np.array_equal(ball.values, positions)
+    assert np.array_equal(ball.stamps_ns, np.arange(100) * PERIOD_NS)
+    assert episode.info.truth["restitution"] == 0.5
+    assert episode.info.counts["written"] == 100
+    assert not episode.warnings
+    assert not (tmp_path / "a.mcap.active").exists()
+
+
+def test_frames_keep_their_bytes_and_are_read_when_asked_for(tmp_path: Path):
+    data = os.urandom(5000)
+    with EpisodeWriter(tmp_path / "a.mcap", INFO) as writer:
+        for index in range(20):
+            writer.write_frame("/camera/image_raw/compressed", Frame(index, "jpeg", data))
+    frames = list(read_episode(tmp_path / "a.mcap").frames())
+    assert [frame.stamp_ns for frame in frames] == list(range(20))
+    assert all(frame.data == data and frame.encoding == "jpeg" for frame in frames)
+
+
+def test_the_same_episode_gives_the_same_bytes(tmp_path: Path):
+    write(tmp_path / "a.mcap")
+    write(tmp_path / "b.mcap")
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+
+
+def test_other_readers_agree(tmp_path: Path):
+    positions = write(tmp_path / "a.mcap")
+    with (tmp_path / "a.mcap").open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        summary = reader.get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        assert summary.statistics.message_count == 100
+        assert reader.get_header().profile == "ros2"
+        records = {record.name: record.metadata for record in reader.iter_metadata()}
+        assert records["tunenet/episode"]["truth.restitution"] == "0.5"
+    with AnyReader([tmp_path / "a.mcap"]) as bag:
+        seen: list[Any] = [bag.deserialize(raw, one.msgtype) for one, _, raw in bag.messages()]
+    assert [message.pose.position.z for message in seen] == list(positions[:, 2])
+
+
+def test_rerun_shows_the_poses_natively(tmp_path: Path):
+    write(tmp_path / "a.mcap")
+    convert = [BIN / "rerun", "mcap", "convert", tmp_path / "a.mcap", "-o", tmp_path / "a.rrd"]
+    subprocess.run(convert, check=True, capture_output=True, timeout=60)
+    shown = subprocess.run(
+        [BIN / "rerun", "rrd", "print", "-v", tmp_path / "a.rrd"],
+        check=True, capture_output=True, text=True, timeout=60,
+    ).stdout  # fmt: skip
+    assert "InstancePoses3D:translations" in shown or "Transform3D:translation" in shown
+
+
+def test_never_overwrites_unasked(tmp_path: Path):
+    write(tmp_path / "a.mcap")
+    before = (tmp_path / "a.mcap").read_bytes()
+    with pytest.raises(LogError, match="--overwrite"):
+        EpisodeWriter(tmp_path / "a.mcap", INFO)
+    assert (tmp_path / "a.mcap").read_bytes() == before
+
+
+def test_does_not_touch_what_a_killed_recording_left(tmp_path: Path):
+    (tmp_path / "a.mcap.active").write_bytes(b"the only copy")
+    with pytest.raises(LogError, match="did not end"):
+        EpisodeWriter(tmp_path / "a.mcap", INFO)
+    assert (tmp_path / "a.mcap.active").read_bytes() == b"the only copy"
+
+
+def test_a_folder_that_cannot_be_written_to_is_one_clear_error(tmp_path: Path):
+    with pytest.raises(LogError, match="cannot be written"):
+        EpisodeWriter(tmp_path / "missing" / "a.mcap", INFO)
+
+
+@pytest.mark.parametrize("limit", [4000, 20_000, 60_000])
+def test_a_full_disk_keeps_what_was_written_before(tmp_path: Path, limit: int):
+    code = f"""
+import resource, signal, sys, numpy as np
+from pathlib import Path
+from typing import Any
+from tunenet_logs.episode import EpisodeInfo
+from tunenet_logs.errors import LogError
+from tunenet_logs.writer import EpisodeWriter
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))
+rng = np.random.default_rng(0)
+try:
+    with EpisodeWriter(Path("a.mcap"), EpisodeInfo(kind="drop")) as writer:
+        for index in range(100_000):
+            writer.write_pose("/ball/pose", index, rng.normal(size=3))
+except LogError as error:
+    print(error)
+    sys.exit(error.exit_code)
+"""
+    words = [sys.executable, "-c", code]
+    result = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert result.returncode == 1, result.stderr
+    assert "a.mcap: writing failed" in result.stdout
+    assert result.stdout.count("\n") == 1
+    left = tmp_path / "a.mcap.active"
+    assert left.stat().st_size <= limit
+    episode = read_episode(left)
+    assert episode.info.kind == "drop"
+    if limit > 50_000:  # less holds no whole chunk
+        values = episode.signals["/ball/pose"].values
+        expected = np.random.default_rng(0).normal(size=values.shape)
+        assert len(values) > 100
+        assert np.array_equal(values, expected)
+
+
+RECORDER = """
+import time, numpy as np
+from pathlib import Path
+from typing import Any
+from recorders.session import stop_flag
+from tunenet_logs.episode import EpisodeInfo
+from tunenet_logs.writer import EpisodeWriter
+with stop_flag() as stop, EpisodeWriter(Path("a.mcap"), EpisodeInfo(kind="drop")) as writer:
+    start = time.monotonic_ns()
+    index = 0
+    print("ready", flush=True)
+    while not stop.is_set():
+        writer.write_pose("/ball/pose", time.monotonic_ns() - start, np.full(3, float(index)))
+        index += 1
+        time.sleep(0.001)
+"""
+
+
+def recorder(folder: Path) -> subprocess.Popen[str]:
+    process = subprocess.Popen(
+        [sys.executable, "-c", RECORDER], cwd=folder, stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n"
+    return process
+
+
+@pytest.mark.parametrize("seconds", [0.15, 0.4, 0.73])
+def test_killed_it_loses_the_last_moments_at_most(tmp_path: Path, seconds: float):
+    process = recorder(tmp_path)
+    time.sleep(seconds)
+    process.kill()
+    process.wait()
+    episode = read_episode(tmp_path / "a.mcap.active")
+    ball = episode.signals.get("/ball/pose")
+    if seconds > 0.3:  # else perhaps nothing was due to be on the disk yet
+        assert ball is not None
+        assert ball.stamps_ns[-1] > (seconds - 0.3) * 1e9
+        assert np.array_equal(ball.values[:, 0], np.arange(len(ball.values)))
+    assert any("end of the file is missing" in warning for warning in episode.warnings)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("seconds", [0.0, 0.11, 0.32])
+def test_stopped_by_a_signal_the_log_is_whole(tmp_path: Path, number: int, seconds: float):
+    process = recorder(tmp_path)
+    time.sleep(seconds)
+    process.send_signal(number)
+    assert process.wait(10) == 0
+    episode = read_episode(tmp_path / "a.mcap")
+    assert not episode.warnings
+    written = episode.info.counts["written"]
+    ball = episode.signals.get("/ball/pose")
+    assert written == (0 if ball is None else len(ball.values))
