@@ -124,17 +124,14 @@ def tune_log(path: Path, options: Options) -> Tuning:
         warnings=episode.warnings,
         physical=preset.physical,
     )
+    model = _model(preset, options)
     try:
         found = task.find(episode, options.selection, options.preset)
+        problem = task.problem(found, _initial(task, options))
     except NotFoundError as error:
         watch.lap("observe")
         return replace(rejected, reason=str(error))
     watch.lap("observe")
-    model = _model(preset, options)
-    initial = [
-        one.initial if options.initial is None else options.initial for one in task.parameters
-    ]
-    problem = task.problem(found, np.array(initial))
     trace = _with_last_look(TuneNet(model).estimate(problem, options.iterations), problem)
     checks = task.checks(found, trace.steps[-1])
     cross_check = task.cross_check(found, trace.estimate)
@@ -159,6 +156,13 @@ def _preset(task: Task, options: Options) -> Preset:
         known = ", ".join(task.presets)
         raise UsageError(f"{task.name} has no preset {options.preset!r}; there is: {known}")
     return task.presets[options.preset]
+
+
+def _initial(task: Task, options: Options) -> NDArray[np.float64]:
+    values = [
+        one.initial if options.initial is None else options.initial for one in task.parameters
+    ]
+    return np.array(values)
 
 
 def _model(preset: Preset, options: Options) -> Model:

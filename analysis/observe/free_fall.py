@@ -126,10 +126,7 @@ def _impact_candidates(seconds: Array, heights: Array) -> list[int]:
     width = max(2, round(_SLOPE_WINDOW_S / float(np.median(np.diff(seconds)))))
     if len(heights) <= 2 * width:
         return []
-    times = np.lib.stride_tricks.sliding_window_view(seconds, width + 1)
-    values = np.lib.stride_tricks.sliding_window_view(heights, width + 1)
-    times = times - times.mean(axis=1, keepdims=True)
-    slopes = (times * values).sum(axis=1) / (times**2).sum(axis=1)
+    slopes = _slopes(seconds, heights, width)
     before, after = slopes[:-width], slopes[width:]  # of sample i + width
     fast = before < 0.3 * min(before.min(), 0.0)
     jump = np.where(fast & (after > 0.5 * before), after - before, 0.0)
@@ -140,6 +137,18 @@ def _impact_candidates(seconds: Array, heights: Array) -> list[int]:
         else:
             peaks.append(int(index))
     return [peak + width for peak in peaks]
+
+
+def _slopes(seconds: Array, heights: Array, width: int) -> Array:
+    """Slope [m/s] of each run of width + 1 samples, between the means of its halves."""
+    half = (width + 1) // 2
+
+    def rise(values: Array) -> Array:
+        sums = np.concatenate([[0.0], np.cumsum(values - values[0])])
+        means = (sums[half:] - sums[:-half]) / half
+        return means[width + 1 - half :] - means[: half - width - 1]
+
+    return rise(heights) / rise(seconds)
 
 
 def _fit(seconds: Array, heights: Array, start: int, index: int, noise: float) -> tuple[Drop, int]:

@@ -153,8 +153,9 @@ def rest_and_end(
     if end - index - 1 < width:
         return np.arange(0), end
     windows = np.lib.stride_tricks.sliding_window_view(heights[index + 1 : end], width)
-    still = np.ptp(windows, axis=1) < 0.002 * depth + 8 * noise
-    low = windows.max(axis=1) < contact + 0.05 * depth + 8 * noise
+    highest, lowest = windows.max(axis=1), windows.min(axis=1)
+    still = highest - lowest < 0.002 * depth + 8 * noise
+    low = highest < contact + 0.05 * depth + 8 * noise
     settled = np.flatnonzero(still & low)
     if not len(settled):
         return np.arange(0), end

@@ -86,7 +86,12 @@ class Task(Protocol):
         ...
 
     def problem(self, found: Any, initial: Array) -> Problem:
-        """The estimation problem for it."""
+        """The estimation problem for it.
+
+        Raises:
+            NotFoundError: the simulator cannot be set up like it.
+            UsageError: the initial value is out of bounds.
+        """
         ...
 
     def checks(self, found: Any, last: Step) -> tuple[Check, ...]:

@@ -19,7 +19,7 @@ from analysis.tasks.drop_presets import PAPER_HEIGHT_M, PRESETS
 from recorders.simulators.contact import CALIBRATED, PAPER, ContactSettings
 from recorders.simulators.drop import RESTITUTION, TOPIC, DropRig, DropSimulator
 from tunenet_logs.episode import Episode, Signal
-from tunenet_logs.errors import NotFoundError
+from tunenet_logs.errors import NotFoundError, UsageError
 
 Array = NDArray[np.float64]
 
@@ -34,8 +34,8 @@ class FoundDrop:
     Attributes:
         topic: where the ball's position came from.
         drop: with heights along `up`.
-        signal: the whole signal.
-        start_ns: stamp of the drop's clock's zero.
+        signal: the selected part of that signal.
+        start_ns: where the drop's clock is 0: the first sample of the log's signal.
         sideways_m: horizontal positions in the drop's window [m], shape (T, 2).
         target: o_T.
         warnings: what a user should know, in words.
@@ -74,14 +74,17 @@ class DropTask:
         reasons: list[str] = []
         for signal in _candidates(episode, selection):
             try:
-                return _find_in(_cut(signal, selection), preset)
+                return _find_in(_cut(signal, selection), int(signal.stamps_ns[0]), preset)
             except NotFoundError as reason:
                 reasons.append(f"{signal.name}: {reason}")
         raise NotFoundError(reasons[0])
 
     def problem(self, found: FoundDrop, initial: Array) -> Problem:
         """A simulator with the drop's own height, rate and release; see `Task.problem`."""
-        rig, contact = _rig_like(found)
+        try:
+            rig, contact = _rig_like(found)
+        except UsageError as error:  # the user chose nothing here: the log asks for it
+            raise NotFoundError(f"this drop cannot be simulated: {error}") from error
         simulator = DropSimulator(rig, contact)
         if contact == PAPER:
             return Problem(found.target, simulator, views.paper_rollout, initial)
@@ -137,10 +140,10 @@ def _cut(signal: Signal, selection: Selection) -> Signal:
     )
 
 
-def _find_in(signal: Signal, preset: str) -> FoundDrop:
+def _find_in(signal: Signal, start_ns: int, preset: str) -> FoundDrop:
     if not len(signal.stamps_ns):
         raise NotFoundError("no samples in the selected part")
-    up, drops = _vertical_drops(signal)
+    up, drops = _vertical_drops(signal, start_ns)
     column, _ = _AXES[up]
     drop = drops[0]
     warnings = [] if up == "+z" else [f"up is {up} in {signal.name}"]
@@ -156,22 +159,23 @@ def _find_in(signal: Signal, preset: str) -> FoundDrop:
         topic=signal.name,
         drop=drop,
         signal=signal,
-        start_ns=int(signal.stamps_ns[0]),
+        start_ns=start_ns,
         sideways_m=np.delete(signal.values, column, axis=1)[window],
         target=target,
         warnings=tuple(warnings),
     )
 
 
-def _vertical_drops(signal: Signal) -> tuple[str, list[Drop]]:
+def _vertical_drops(signal: Signal, start_ns: int) -> tuple[str, list[Drop]]:
     """Which way is up, +z if in doubt, and the drops along it."""
+    seconds = (signal.stamps_ns - start_ns).astype(np.float64) * 1e-9
     spans = np.ptp(signal.values, axis=0)
     first_reason: NotFoundError | None = None
     for up, (column, sign) in _AXES.items():
         if spans[column] < 0.5 * spans.max():
             continue
         try:
-            return up, find_drops(signal.seconds, sign * signal.values[:, column])
+            return up, find_drops(seconds, sign * signal.values[:, column])
         except NotFoundError as reason:
             first_reason = first_reason or reason
     raise first_reason or NotFoundError("the ball does not move")
