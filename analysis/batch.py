@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import traceback
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -18,6 +19,8 @@ from analysis.tuning import Options, Tuning, tune_log
 from tunenet_logs.errors import LogError, UsageError, WeightsError
 from tunenet_logs.progress import Progress
 from tunenet_logs.writer import ACTIVE_SUFFIX
+
+_PARTIAL = ".partial"
 
 
 @dataclass(frozen=True)
@@ -42,7 +45,7 @@ def tune_all(
     Raises:
         UsageError: the options fit no log at all, or two logs would write the same results.
     """
-    logs = list(dict.fromkeys(logs))
+    logs = list({log.resolve(): log for log in logs}.values())
     names = _names(logs, folder)
     work = [(log, options, name) for log, name in zip(logs, names, strict=True)]
     with progress.bar(len(work), "tuning", "log") as bar:
@@ -93,19 +96,21 @@ def _one(log: Path, options: Options, name: Path) -> Result:
         reason = f"unexpected {type(error).__name__}: {error}; please report it with the log"
         tuning = Tuning(log, options.task, options.preset, "rejected", reason)
     review = None
+    report, recording = _results(name)
     try:
         if log.is_file():
             name.parent.mkdir(parents=True, exist_ok=True)
             if tuning.episode is not None and tuning.episode.signals:
-                review = name.with_name(name.name + ".rrd")
+                review = recording
                 with _replacing(review) as partial:
                     write_review(tuning, partial)
-            with _replacing(name.with_name(name.name + ".json")) as partial:
-                partial.write_text(to_json(tuning), encoding="utf-8")
-    except OSError as error:
-        trouble = (
-            f"{error.filename or name.parent}: cannot be written ({error.strerror}); choose -o DIR"
-        )
+            with _replacing(report) as partial:
+                partial.write_text(to_json(tuning), "utf-8", errors="backslashreplace")
+    except (OSError, UnicodeError) as error:  # the latter for a name that Rerun cannot take
+        place, why = name.parent, "its name is not UTF-8"
+        if isinstance(error, OSError):
+            place, why = str(error.filename or place).removesuffix(_PARTIAL), error.strerror
+        trouble = f"{place}: cannot be written ({why}); choose another folder with -o"
         return Result(row_of(tuning), None, trouble)
     return Result(row_of(tuning), review)
 
@@ -113,7 +118,7 @@ def _one(log: Path, options: Options, name: Path) -> Result:
 @contextmanager
 def _replacing(path: Path) -> Iterator[Path]:
     """Write to a file beside `path` that takes its name once it is whole."""
-    partial = path.with_name(path.name + ".partial")
+    partial = path.with_name(path.name + _PARTIAL)
     try:
         yield partial
         partial.replace(path)
@@ -121,10 +126,16 @@ def _replacing(path: Path) -> Iterator[Path]:
         partial.unlink(missing_ok=True)
 
 
+def _results(name: Path) -> tuple[Path, Path]:
+    """The JSON and the review of one log."""
+    return name.with_name(name.name + ".json"), name.with_name(name.name + ".rrd")
+
+
 def _names(logs: Iterable[Path], folder: Path | None) -> list[Path]:
     """Where each log's results go, without the suffix; logs of one stem get their folder's name."""
     logs = list(logs)
-    stems = [log.name.removesuffix(ACTIVE_SUFFIX).rsplit(".", 1)[0] or log.name for log in logs]
+    shown = [os.fsencode(log.name).decode(errors="replace") for log in logs]
+    stems = [name.removesuffix(ACTIVE_SUFFIX).rsplit(".", 1)[0] or name for name in shown]
     names = [(folder or log.parent) / stem for log, stem in zip(logs, stems, strict=True)]
     taken = Counter(names)
     names = [
@@ -133,6 +144,13 @@ def _names(logs: Iterable[Path], folder: Path | None) -> list[Path]:
     ]
     if len(set(names)) < len(names):
         raise UsageError("several logs would write the same results; tune them into folders apart")
+    inputs = {log.resolve() for log in logs}
+    for name in names:
+        for path in _results(name):
+            if path.resolve() in inputs:
+                raise UsageError(
+                    f"{path}: is a log, and would be replaced by results; choose -o DIR"
+                )
     if folder is not None and folder.exists() and not folder.is_dir():
         raise LogError(f"{folder}: is not a folder; choose another with -o")
     return names

@@ -57,7 +57,7 @@ class Stranger:
 
 def write_poses(
     path: Path,
-    stamps_ns: np.ndarray,
+    stamps_ns: np.ndarray | list[int],
     positions: np.ndarray,
     topic: str = "/vrpn/thing/pose",
     compression: CompressionType = CompressionType.LZ4,

@@ -19,6 +19,9 @@ from tunenet_logs.messages import COMPRESSED_IMAGE
 from tunenet_logs.stamps import order_samples
 from tunenet_logs.writer import INFO_RECORD
 
+_LAST_NS = 2**63 - 1
+"""The last stamp that fits int64: in the year 2262."""
+
 
 @dataclass
 class _Gathered:
@@ -43,7 +46,9 @@ class _Gathered:
         self.first_ns = min(self.first_ns, message.log_time) if self.messages else message.log_time
         self.last_ns = max(self.last_ns, message.log_time)
         self.messages += 1
-        if self.skipped is None and self.type_name in ros2_cdr.LAYOUTS:
+        if message.log_time > _LAST_NS:
+            self.damaged += 1
+        elif self.skipped is None and self.type_name in ros2_cdr.LAYOUTS:
             try:
                 stamp_ns, row = ros2_cdr.decode_row(message.data, self.type_name)
             except LogError:
@@ -92,11 +97,13 @@ def read_episode(path: Path) -> Episode:
 
 
 def _check_is_log(path: Path) -> None:
-    if not path.exists():
-        raise LogError(f"{path}: no such file")
-    if path.is_dir():
-        raise LogError(f"{path}: is a directory; name a log file (.mcap) inside it")
     try:
+        if not path.exists():
+            raise LogError(f"{path}: no such file")
+        if path.is_dir():
+            raise LogError(f"{path}: is a directory; name a log file (.mcap) inside it")
+        if not path.is_file():
+            raise LogError(f"{path}: is no regular file; record it to one first")
         with open(path, "rb") as file:
             start = file.read(len(MAGIC))
     except OSError as error:

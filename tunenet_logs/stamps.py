@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _MAX_REVERSALS = 0.1
+_MIN_DIFFERENT = 0.1
 
 
 def order_samples(
@@ -28,6 +29,9 @@ def order_samples(
     backwards = int(np.count_nonzero(np.diff(header_ns) < 0))
     if unset > 1:
         stamps = log_ns
+    elif len(np.unique(header_ns)) <= _MIN_DIFFERENT * len(header_ns):
+        stamps = log_ns
+        notes.append("header stamps hardly change, so the log's own times are used")
     elif backwards > _MAX_REVERSALS * len(header_ns):
         stamps = log_ns
         notes.append("header stamps run backwards, so the log's own times are used")

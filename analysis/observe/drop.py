@@ -60,11 +60,15 @@ def rollout_drop(episode: Episode, rig: DropRig, contact: ContactSettings) -> Dr
         impact_s=rig.hold_s + speed / contact.gravity_m_s2,
         contact_m=rig.radius_m,
         impact_speed_m_s=speed,
-        rebound_speed_m_s=float("nan"),
+        flight_restitution=float("nan"),
+        flight_restitution_sd=float("nan"),
         gravity_m_s2=contact.gravity_m_s2,
+        drag=0.0,
+        drag_sd=0.0,
         noise_m=0.0,
         fall_residual_m=0.0,
         rest_m=rig.radius_m,
+        rest_tolerance_m=0.0,
     )
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.observe.impact import Meeting, falling_to, meet, meet_at
+from analysis.observe.impact import falling_to, gravity_of, meet, meet_at
 from analysis.observe.segments import (
     MIN_DROP_M,
     fall_samples,
@@ -29,7 +29,11 @@ Array = NDArray[np.float64]
 
 _MIN_SAMPLES = 10
 _SLOPE_WINDOW_S = 0.025
+_NOISE_WINDOW_S = 0.4
 _MARGIN_S = 1.0
+_MOST_FALL_TIMES = 40
+_GRAVITY_M_S2 = 9.81
+_ODD_GRAVITY = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,11 +49,16 @@ class Drop:
         impact_s: the first impact [s].
         contact_m: height at contact [m].
         impact_speed_m_s: at the first impact, positive.
-        rebound_speed_m_s: just after it; NaN where too little of the first flight is seen.
-        gravity_m_s2: fitted acceleration.
+        flight_restitution: ratio of the speeds after and before, by the parabolas of fall and
+            flight alone; NaN where too little of the first flight is seen.
+        flight_restitution_sd: its standard error; NaN likewise.
+        gravity_m_s2: fitted acceleration of fall and flight together.
+        drag: how much slower it falls than it flies, (g_flight - g_fall) / g_flight; NaN likewise.
+        drag_sd: its standard error; NaN likewise.
         noise_m: standard deviation of the samples about a smooth curve [m].
         fall_residual_m: root mean square of the fall about its parabola [m].
         rest_m: height where the ball comes to rest [m]; NaN where it is not seen to.
+        rest_tolerance_m: how far from the contact that may be on one table [m].
     """
 
     first: int
@@ -60,11 +69,15 @@ class Drop:
     impact_s: float
     contact_m: float
     impact_speed_m_s: float
-    rebound_speed_m_s: float
+    flight_restitution: float
+    flight_restitution_sd: float
     gravity_m_s2: float
+    drag: float
+    drag_sd: float
     noise_m: float
     fall_residual_m: float
     rest_m: float
+    rest_tolerance_m: float
 
     @property
     def table_m(self) -> float:
@@ -102,18 +115,25 @@ def find_drops(seconds: Array, heights_m: Array) -> list[Drop]:
     if span < max(MIN_DROP_M, 20 * noise):
         raise NotFoundError(f"the ball does not fall: it moves by {1000 * span:.1f} mm in all")
     drops: list[Drop] = []
+    odd: list[Drop] = []
     reasons: list[str] = []
     end = 0
     for index in _impact_candidates(seconds, heights_m):
-        if index >= end:
-            try:
-                drop, end = _fit(seconds, heights_m, end, index, noise)
-                drops.append(drop)
-            except NotFoundError as reason:
-                reasons.append(str(reason))
-    if not drops:
+        if index < end:
+            continue
+        try:
+            drop, drop_end = _fit(seconds, heights_m, end, index, noise)
+        except NotFoundError as reason:
+            reasons.append(str(reason))
+            continue
+        if abs(drop.gravity_m_s2 / _GRAVITY_M_S2 - 1) < _ODD_GRAVITY:
+            drops.append(drop)
+            end = drop_end
+        else:  # a hand may lower a ball along a parabola too
+            odd.append(drop)
+    if not drops and not odd:
         raise NotFoundError(reasons[0] if reasons else "no fall ends in an impact")
-    return drops
+    return drops or odd[:1]
 
 
 def _noise(heights: Array) -> float:
@@ -128,10 +148,10 @@ def _impact_candidates(seconds: Array, heights: Array) -> list[int]:
         return []
     slopes = _slopes(seconds, heights, width)
     before, after = slopes[:-width], slopes[width:]  # of sample i + width
-    fast = before < 0.3 * min(before.min(), 0.0)
+    fast = before < 0.12 * min(before.min(), 0.0)
     jump = np.where(fast & (after > 0.5 * before), after - before, 0.0)
     peaks: list[int] = []
-    for index in np.flatnonzero(jump > 0.35 * max(jump.max(), 1e-9)):
+    for index in np.flatnonzero(jump > 0.15 * max(jump.max(), 1e-9)):
         if peaks and index - peaks[-1] <= width:
             peaks[-1] = max(peaks[-1], int(index), key=lambda at: jump[at])
         else:
@@ -154,6 +174,8 @@ def _slopes(seconds: Array, heights: Array, width: int) -> Array:
 def _fit(seconds: Array, heights: Array, start: int, index: int, noise: float) -> tuple[Drop, int]:
     """The drop that first hits the table near sample `index`, and the sample where it ends."""
     clock = seconds - seconds[index]
+    lately = heights[max(start, int(np.searchsorted(clock, -_NOISE_WINDOW_S))) : index]
+    noise = max(noise, _noise(lately)) if len(lately) >= _MIN_SAMPLES else noise
     fall, residual = fall_samples(clock, heights, start, index, noise)
     parabola = fit_parabola(clock, heights, fall)
     flight = flight_samples(clock, heights, index, parabola, noise)
@@ -166,14 +188,19 @@ def _fit(seconds: Array, heights: Array, start: int, index: int, noise: float) -
     if not len(rest) and not len(flight):
         raise NotFoundError("the recording ends before the ball rebounds")
     level, level_sd = _level(heights[rest])
-    close = abs(level - meeting.contact_m) < _near_contact(meeting)
-    if close and level_sd < meeting.contact_sd_m:
-        meeting = meet_at(level, clock, heights, flight, meeting)
+    tolerance = 4 * meeting.contact_sd_m + 0.001 * meeting.drop_height_m + 0.001
+    if abs(level - meeting.contact_m) < tolerance and level_sd < meeting.contact_sd_m:
+        meeting = meet_at(level, meeting)
     if not rebounds(clock[:end] - meeting.impact_s, heights[:end], meeting, noise):
         raise NotFoundError("the ball does not bounce: it stays where it lands")
     release_s, release_m = release(clock, heights, start, int(fall[-1]), meeting)
     first = max(start, int(np.searchsorted(clock, release_s - _MARGIN_S)))
-    last = min(end, int(np.searchsorted(clock, clock[rest[0]] + _MARGIN_S))) if len(rest) else end
+    last_s = meeting.impact_s + _MOST_FALL_TIMES * meeting.fall_time_s
+    if len(rest):
+        last_s = min(last_s, clock[rest[0]] + _MARGIN_S)
+    last = min(end, int(np.searchsorted(clock, last_s)))
+    fall_gravity, fall_sd = gravity_of(clock, heights, fall, noise)
+    flight_gravity, flight_sd = gravity_of(clock, heights, flight, noise)
     drop = Drop(
         first=first,
         seconds=seconds[first:last],
@@ -183,11 +210,15 @@ def _fit(seconds: Array, heights: Array, start: int, index: int, noise: float) -
         impact_s=float(seconds[index] + meeting.impact_s),
         contact_m=meeting.contact_m,
         impact_speed_m_s=meeting.fall_speed,
-        rebound_speed_m_s=meeting.rebound_speed,
+        flight_restitution=meeting.restitution,
+        flight_restitution_sd=meeting.restitution_sd,
         gravity_m_s2=meeting.gravity,
+        drag=1 - fall_gravity / flight_gravity,
+        drag_sd=float(np.hypot(fall_sd, flight_sd)) / abs(flight_gravity),
         noise_m=noise,
         fall_residual_m=residual,
         rest_m=level,
+        rest_tolerance_m=tolerance,
     )
     return drop, end
 
@@ -201,8 +232,3 @@ def _level(heights: Array) -> tuple[float, float]:
     if not len(late):
         return float("nan"), float("nan")
     return float(np.median(late)), 1.25 * float(np.std(late)) / np.sqrt(len(late))
-
-
-def _near_contact(meeting: Meeting) -> float:
-    """How far the level of rest may lie from the contact's to be the same table [m]."""
-    return 4 * meeting.contact_sd_m + 0.02 * meeting.drop_height_m

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Samples = NDArray[np.intp]
+Parabola = tuple[float, float, float]
+"""Highest power first."""
 
 
 @dataclass(frozen=True)
@@ -20,16 +23,19 @@ class Meeting:
         contact_m: the height there.
         contact_sd_m: standard error of that height.
         fall_speed: just before, positive [m/s].
-        rebound_speed: just after, positive [m/s]; NaN where unknown.
-        fall: parabola of the fall, highest power first.
+        restitution: ratio of the speeds after and before, by the two parabolas alone; NaN where
+            the flight is not seen.
+        restitution_sd: its standard error; NaN likewise.
+        fall: parabola of the fall.
     """
 
     impact_s: float
     contact_m: float
     contact_sd_m: float
     fall_speed: float
-    rebound_speed: float
-    fall: tuple[float, float, float]
+    restitution: float
+    restitution_sd: float
+    fall: Parabola
 
     @property
     def gravity(self) -> float:
@@ -62,37 +68,63 @@ def meet(clock: Array, heights: Array, fall: Samples, flight: Samples, noise: fl
     design = np.column_stack([in_fall, in_fall * times, ~in_fall, ~in_fall * times, times**2])
     values = np.concatenate([heights[fall], heights[flight]])
     solution, *_ = np.linalg.lstsq(design, values, rcond=None)
-    offset, slope, offset_up, slope_up, curve = (float(value) for value in solution)
-    impact = (offset_up - offset) / (slope - slope_up)
-    # How the contact's height changes with each coefficient, for its standard error.
-    by_time = (slope + 2 * curve * impact) / (slope - slope_up)
-    gradient = np.array([1 - by_time, (1 - by_time) * impact, by_time, by_time * impact, impact**2])
     covariance = max(noise, 1e-9) ** 2 * np.linalg.pinv(design.T @ design)
+    steps = np.sqrt(np.diag(covariance))
+    nudges: Array = np.diag(steps)
+    either_way = [(_crossing(solution + step), _crossing(solution - step)) for step in nudges]
+    slopes = np.array([(up - down) / 2 for up, down in either_way])  # shape (5, 4)
+    correlation = covariance / np.outer(steps, steps)
+    errors = np.sqrt(np.maximum(np.diag(slopes.T @ correlation @ slopes), 0.0))
+    impact, contact, speed, restitution = (float(value) for value in _crossing(solution))
+    offset, slope, _, _, curve = (float(value) for value in solution)
     return Meeting(
         impact_s=impact,
-        contact_m=offset + slope * impact + curve * impact**2,
-        contact_sd_m=float(np.sqrt(max(gradient @ covariance @ gradient, 0.0))),
-        fall_speed=-(slope + 2 * curve * impact),
-        rebound_speed=slope_up + 2 * curve * impact,
+        contact_m=contact,
+        contact_sd_m=float(errors[1]),
+        fall_speed=speed,
+        restitution=restitution,
+        restitution_sd=float(errors[3]),
         fall=(curve, slope, offset),
     )
 
 
-def falling_to(level: float, fall: tuple[float, float, float], level_sd: float = 0.0) -> Meeting:
-    """Where a fall's parabola (highest power first) comes down to a known level."""
+def falling_to(level: float, fall: Parabola, level_sd: float = 0.0) -> Meeting:
+    """Where a fall's parabola comes down to a known level."""
     curve, slope, offset = fall
     speed = float(np.sqrt(max(slope**2 - 4 * curve * (offset - level), 0.0)))
     impact = (-slope - speed) / (2 * curve)
-    return Meeting(impact, level, level_sd, speed, float("nan"), fall)
+    unknown = float("nan")
+    return Meeting(impact, level, level_sd, speed, unknown, unknown, fall)
 
 
-def meet_at(
-    level: float, clock: Array, heights: Array, flight: Samples, meeting: Meeting
-) -> Meeting:
-    """The same meeting where its level is known better, from the ball at rest."""
-    known = falling_to(level, meeting.fall)
-    if not len(flight):
-        return known
-    since = clock[flight] - known.impact_s
-    straight = heights[flight] - level + meeting.gravity / 2 * since**2
-    return replace(known, rebound_speed=float(since @ straight / (since @ since)))
+def meet_at(level: float, meeting: Meeting) -> Meeting:
+    """The same meeting where its level is known better, from the ball at rest.
+
+    The restitution stays that of the two parabolas: a second opinion must not lean on the first.
+    """
+    return replace(
+        falling_to(level, meeting.fall),
+        restitution=meeting.restitution,
+        restitution_sd=meeting.restitution_sd,
+    )
+
+
+def gravity_of(clock: Array, heights: Array, samples: Samples, noise: float) -> tuple[float, float]:
+    """Acceleration of some samples of free flight and its standard error [m/s²]; NaN below 4."""
+    if len(samples) < 4:
+        return float("nan"), float("nan")
+    times = clock[samples] - clock[samples].mean()
+    design = np.column_stack([np.ones_like(times), times, times**2])
+    solution, *_ = np.linalg.lstsq(design, heights[samples], rcond=None)
+    variance = noise**2 * np.linalg.pinv(design.T @ design)[2, 2]
+    return float(-2 * solution[2]), float(2 * np.sqrt(max(variance, 0.0)))
+
+
+def _crossing(coefficients: NDArray[Any]) -> Array:
+    """Time, height, speed before and ratio of the speeds where the two parabolas cross."""
+    offset, slope, offset_up, slope_up, curve = coefficients
+    impact = (offset_up - offset) / (slope - slope_up)
+    speed = -(slope + 2 * curve * impact)
+    after = slope_up + 2 * curve * impact
+    height = offset + slope * impact + curve * impact**2
+    return np.array([impact, height, speed, after / speed])

@@ -14,7 +14,8 @@ Array = NDArray[np.float64]
 
 _GRAVITY_M_S2 = 9.81
 _REJECT_FIT = 0.1
-_SUSPECT_FIT = 0.03
+_CLEAR_FLIGHT = 10
+_CLEAR_HOP = 8
 
 
 @dataclass(frozen=True)
@@ -66,39 +67,65 @@ def recording_checks(drop: Drop, sideways_m: Array) -> list[Check]:
     ]
     if not np.isnan(drop.rest_m):
         off = abs(drop.rest_m - drop.contact_m)
-        level = 0.02 * height + 4 * drop.noise_m
         checks.append(
             Check(
                 "rests where it hit",
-                off < level,
-                f"{1000 * off:.1f} mm between impact and rest (at most {1000 * level:.0f})",
+                off < drop.rest_tolerance_m,
+                f"{1000 * off:.1f} mm between impact and rest "
+                f"(at most {1000 * drop.rest_tolerance_m:.1f})",
             )
         )
     return checks
 
 
-def gravity_check(drop: Drop) -> Check:
-    """Whether lengths and times are what they seem, and nothing slows the ball."""
-    return Check(
-        "gravity",
-        abs(drop.gravity_m_s2 / _GRAVITY_M_S2 - 1) < 0.05,
-        f"falls with {drop.gravity_m_s2:.2f} m/s² (wanted: 9.81 within 5 %)",
+def fall_checks(drop: Drop, restitution: float) -> list[Check]:
+    """Whether it falls and flies as free bodies do, so that the restitution is the ball's own."""
+    checks = [
+        Check(
+            "gravity",
+            abs(drop.gravity_m_s2 / _GRAVITY_M_S2 - 1) < 0.05,
+            f"falls with {drop.gravity_m_s2:.2f} m/s² (wanted: 9.81 within 5 %)",
+        )
+    ]
+    hop_m = restitution**2 * drop.drop_height_m
+    checks.append(
+        Check(
+            "rebound stands out",
+            hop_m > _CLEAR_HOP * drop.noise_m,
+            f"{1000 * hop_m:.1f} mm high (wanted: over {1000 * _CLEAR_HOP * drop.noise_m:.1f}, "
+            f"{_CLEAR_HOP} times the noise)",
+        )
     )
+    flight_samples = 2 * restitution * drop.fall_time_s / float(np.median(np.diff(drop.seconds)))
+    if not np.isnan(drop.drag):
+        most = 0.02 + 2 * drop.drag_sd
+        checks.append(
+            Check(
+                "no air drag",
+                drop.drag < most,
+                f"falls {100 * drop.drag:.1f} % slower than it flies (at most {100 * most:.1f})",
+            )
+        )
+    elif flight_samples >= _CLEAR_FLIGHT:
+        detail = f"none found in the {flight_samples:.0f} samples of the first flight"
+        checks.append(Check("flies a parabola", False, detail))
+    return checks
 
 
-def fit_check(simulated: Observation, target: Observation, scale: float) -> Check:
+def fit_check(simulated: Observation, target: Observation, scale: float, most: float) -> Check:
     """Whether the tuned simulator moves as the recording does.
 
     Args:
         simulated: o_P of the result.
         target: o_T.
         scale: drop height in the observations' unit.
+        most: share of the drop height that the two may lie apart (rms).
     """
     off = (simulated.values - target.values) / scale
     rms = float(np.sqrt(np.nanmean(off**2)))
     return Check(
         "simulation fits",
-        rms < _SUSPECT_FIT,
-        f"{100 * rms:.2f} % of the drop height apart, rms (at most {100 * _SUSPECT_FIT:g})",
+        rms < most,
+        f"{100 * rms:.2f} % of the drop height apart, rms (at most {100 * most:.2f})",
         fatal=rms > _REJECT_FIT,
     )

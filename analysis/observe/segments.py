@@ -13,7 +13,7 @@ Samples = NDArray[np.intp]
 Parabola = tuple[float, float, float]
 
 MIN_DROP_M = 0.02
-_REST_WINDOW_S = 0.15
+_REST_WINDOW_S = 0.25
 
 
 def fit_parabola(clock: Array, heights: Array, samples: Samples) -> Parabola:
@@ -154,7 +154,12 @@ def rest_and_end(
         return np.arange(0), end
     windows = np.lib.stride_tricks.sliding_window_view(heights[index + 1 : end], width)
     highest, lowest = windows.max(axis=1), windows.min(axis=1)
-    still = highest - lowest < 0.002 * depth + 8 * noise
+    # Near the top of a bounce a ball hardly moves either, but it curves.
+    third = width // 3
+    ends = windows[:, :third].mean(axis=1) + windows[:, -third:].mean(axis=1)
+    bend = ends - 2 * windows[:, third : width - third].mean(axis=1)
+    sag = meeting.gravity * (_REST_WINDOW_S / 3) ** 2
+    still = (highest - lowest < 0.002 * depth + 8 * noise) & (np.abs(bend) < sag / 2)
     low = highest < contact + 0.05 * depth + 8 * noise
     settled = np.flatnonzero(still & low)
     if not len(settled):

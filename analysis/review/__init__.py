@@ -8,6 +8,7 @@ iteration lies beside a static observed curve, for scrubbing `iteration`.
 from __future__ import annotations
 
 import hashlib
+import os
 from pathlib import Path
 
 import rerun as rr
@@ -29,12 +30,12 @@ def write_review(tuning: Tuning, path: Path) -> None:
         OSError: `path` cannot be written.
     """
     path.touch()  # Rerun itself would only print that it cannot be written
-    told = f"{tuning.log.resolve()} {tuning.preset} {tuning.digest}"
-    identity = hashlib.sha256(told.encode()).hexdigest()[:16]
+    told = os.fsencode(tuning.log.resolve()) + f" {tuning.preset} {tuning.digest}".encode()
+    identity = hashlib.sha256(told).hexdigest()[:16]
     kind = "drop" if tuning.found else "log"
     stream = rr.RecordingStream(f"tunenet review {kind}", recording_id=identity)
     stream.save(str(path))
-    stream.send_recording_name(tuning.log.name)
+    stream.send_recording_name(os.fsencode(tuning.log.name).decode(errors="replace"))
     words = rr.TextDocument(result_words(tuning), media_type="text/markdown")
     stream.log("result", words, static=True)
     if tuning.found is None:

@@ -13,7 +13,8 @@ from analysis.estimators.base import Problem, Step
 from analysis.observe import drop as views
 from analysis.observe.base import Observation
 from analysis.observe.free_fall import Drop, find_drops
-from analysis.observe.quality import Check, fit_check, gravity_check, recording_checks
+from analysis.observe.quality import Check, fall_checks, fit_check, recording_checks
+from analysis.observe.strays import strays
 from analysis.tasks.base import CrossCheck, Preset, Selection
 from analysis.tasks.drop_presets import PAPER_HEIGHT_M, PRESETS
 from recorders.simulators.contact import CALIBRATED, PAPER, ContactSettings
@@ -25,6 +26,9 @@ Array = NDArray[np.float64]
 
 _AXES = {"+z": (2, 1), "-z": (2, -1), "+y": (1, 1), "-y": (1, -1), "+x": (0, 1), "-x": (0, -1)}
 _AGREEMENT = 0.02
+_FIT = 0.008
+_PAPER_FIT = 0.03
+_FARTHEST_M = 1e6
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,16 +101,20 @@ class DropTask:
         checks = recording_checks(found.drop, found.sideways_m)
         physical = PRESETS[found.preset].physical
         if physical:  # the paper's simulator has a drag of its own
-            checks.append(gravity_check(found.drop))
-        scale = 1.0 if physical else found.drop.drop_height_m
-        return (*checks, fit_check(last.look.observation, found.target, scale))
+            checks += fall_checks(found.drop, float(last.values[0]))
+        height_m, noise_m = found.drop.drop_height_m, found.drop.noise_m
+        scale = 1.0 if physical else height_m
+        most = _FIT if physical else _PAPER_FIT
+        most += 1.2 * noise_m / height_m
+        return (*checks, fit_check(last.look.observation, found.target, scale, most))
 
     def cross_check(self, found: FoundDrop, estimate: Array) -> CrossCheck | None:
         """The speeds just after and just before the impact, by the parabolas on either side."""
-        value = found.drop.rebound_speed_m_s / found.drop.impact_speed_m_s
+        value = found.drop.flight_restitution
         if np.isnan(value) or not PRESETS[found.preset].physical:
             return None
-        agrees = bool(abs(value - estimate[0]) < _AGREEMENT)
+        margin = _AGREEMENT + 3 * found.drop.flight_restitution_sd
+        agrees = bool(abs(value - estimate[0]) < margin)
         return CrossCheck("speeds at the first impact", value, agrees)
 
 
@@ -130,28 +138,26 @@ def _candidates(episode: Episode, selection: Selection) -> list[Signal]:
 def _cut(signal: Signal, selection: Selection) -> Signal:
     """The selected part, without the samples that hold no position."""
     seconds = signal.seconds
-    keep = np.isfinite(signal.values).all(axis=1)
+    keep: NDArray[np.bool_] = np.all(np.abs(signal.values) < _FARTHEST_M, axis=1)  # NaN is not
     if selection.start_s is not None:
         keep &= seconds >= selection.start_s
     if selection.end_s is not None:
         keep &= seconds <= selection.end_s
-    return Signal(
-        signal.name, signal.stamps_ns[keep], signal.values[keep], signal.columns, signal.unit
-    )
+    return _only(signal, keep)
 
 
 def _find_in(signal: Signal, start_ns: int, preset: str) -> FoundDrop:
     if not len(signal.stamps_ns):
-        raise NotFoundError("no samples in the selected part")
-    up, drops = _vertical_drops(signal, start_ns)
+        raise NotFoundError("no sample with a position (in the part that was selected)")
+    up, signal, drops = _vertical_drops(signal, start_ns)
     column, _ = _AXES[up]
     drop = drops[0]
+    window = slice(drop.first, drop.first + len(drop.seconds))
+    target = _VIEWS[preset](drop)
     warnings = [] if up == "+z" else [f"up is {up} in {signal.name}"]
     if len(drops) > 1:
         spans = ", ".join(f"{one.seconds[0]:.2f} to {one.seconds[-1]:.2f} s" for one in drops)
         warnings.append(f"{len(drops)} drops ({spans}); the first is used (see --start, --end)")
-    window = slice(drop.first, drop.first + len(drop.seconds))
-    target = _VIEWS[preset](drop)
     if not PRESETS[preset].physical:
         warnings += _paper_warnings(drop, target)
     return FoundDrop(
@@ -166,19 +172,26 @@ def _find_in(signal: Signal, start_ns: int, preset: str) -> FoundDrop:
     )
 
 
-def _vertical_drops(signal: Signal, start_ns: int) -> tuple[str, list[Drop]]:
-    """Which way is up, +z if in doubt, and the drops along it."""
-    seconds = (signal.stamps_ns - start_ns).astype(np.float64) * 1e-9
-    spans = np.ptp(signal.values, axis=0)
+def _vertical_drops(signal: Signal, start_ns: int) -> tuple[str, Signal, list[Drop]]:
+    """Which way is up (+z if in doubt), the signal without strays, and the drops along it."""
+    low, high = np.quantile(signal.values, (0.001, 0.999), axis=0)
     first_reason: NotFoundError | None = None
     for up, (column, sign) in _AXES.items():
-        if spans[column] < 0.5 * spans.max():
+        if (high - low)[column] < 0.5 * (high - low).max():
             continue
+        seconds = (signal.stamps_ns - start_ns).astype(np.float64) * 1e-9
+        kept = _only(signal, np.logical_not(strays(seconds, signal.values[:, column])))
+        seconds = (kept.stamps_ns - start_ns).astype(np.float64) * 1e-9
         try:
-            return up, find_drops(seconds, sign * signal.values[:, column])
+            return up, kept, find_drops(seconds, sign * kept.values[:, column])
         except NotFoundError as reason:
             first_reason = first_reason or reason
     raise first_reason or NotFoundError("the ball does not move")
+
+
+def _only(signal: Signal, keep: NDArray[np.bool_]) -> Signal:
+    stamps_ns, values = signal.stamps_ns[keep], signal.values[keep]
+    return Signal(signal.name, stamps_ns, values, signal.columns, signal.unit)
 
 
 def _paper_warnings(drop: Drop, target: Observation) -> list[str]:

@@ -73,3 +73,28 @@ def test_options_that_fit_no_log_stop_at_once(drop_log: Path, tmp_path: Path, jo
         tune_all([drop_log, other], Options(weights=drop_log), None, jobs, QUIET)
     with pytest.raises(UsageError):
         tune_all([drop_log, other], Options(initial=2.0), None, jobs, QUIET)
+
+
+@pytest.mark.parametrize("name", ["drop.json", "drop.rrd"])
+def test_a_log_is_never_replaced_by_its_own_results(drop_log: Path, name: str):
+    path = drop_log.rename(drop_log.with_name(name))
+    before = path.read_bytes()
+    with pytest.raises(UsageError, match="is a log"):
+        tune_all([path], Options(), None, 1, QUIET)
+    assert path.read_bytes() == before
+
+
+def test_one_file_by_two_paths_is_tuned_once(drop_log: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(drop_log.parent)
+    assert len(tune_all([Path(drop_log.name), drop_log], Options(), None, 2, QUIET)) == 1
+
+
+def test_a_name_that_is_not_utf8_is_no_obstacle(drop_log: Path):
+    import os
+
+    path = drop_log.rename(drop_log.with_name(os.fsdecode(b"bad\xff.mcap")))
+    (result,) = tune_all([path], Options(), None, 1, QUIET)
+    assert result.row.verdict == "ok"
+    assert result.trouble is None
+    assert result.review is not None
+    assert result.review.exists()

@@ -73,7 +73,7 @@ def test_an_output_that_cannot_be_written_is_one_line(command: Command, drop_log
     assert result.returncode == 1
     assert "0.7000" in result.stdout
     assert result.stderr.count("\n") == 1
-    assert "choose -o" in result.stderr
+    assert "with -o" in result.stderr
 
 
 def test_train_writes_weights_that_tune_takes(command: Command, drop_log: Path, tmp_path: Path):

@@ -175,3 +175,13 @@ def test_files_by_other_writers_open(folder: str):
         episode = read_episode(path)
         for channel in episode.channels:
             assert channel.skipped or channel.topic in episode.signals or not channel.messages
+
+
+def test_stamps_beyond_int64_are_left_out_and_counted(tmp_path: Path):
+    stamps, positions = Stranger(0.6).samples()
+    far = [int(stamp) for stamp in stamps]
+    far[5] = 2**63 + 7
+    write_poses(tmp_path / "a.mcap", far, positions, set_header=False)
+    episode = read_episode(tmp_path / "a.mcap")
+    assert len(episode.signals["/vrpn/thing/pose"].values) == len(positions) - 1
+    assert any("1 damaged" in warning for warning in episode.warnings)
