@@ -104,7 +104,7 @@ def _log_convergence(stream: rr.RecordingStream, story: Story) -> None:
     )
     stream.log("sheets/convergence/values", values, static=True)
     figures = rr.Points2D(
-        dots - [0, 0.16],
+        dots - [0, 0.2],
         labels=[f"{one.value:.4f}" for one in story.simulated],
         colors=[one.color for one in story.simulated],
         radii=screen_radius(0.1),
