@@ -29,12 +29,11 @@ def write_review(tuning: Tuning, path: Path) -> None:
     Raises:
         OSError: `path` cannot be written.
     """
-    path.touch()  # Rerun itself would only print that it cannot be written
     told = os.fsencode(tuning.log.resolve()) + f" {tuning.preset} {tuning.digest}".encode()
     identity = hashlib.sha256(told).hexdigest()[:16]
     kind = "drop" if tuning.found else "log"
     stream = rr.RecordingStream(f"tunenet review {kind}", recording_id=identity)
-    stream.save(str(path))
+    memory = stream.memory_recording()  # Rerun's own file sink only prints that a disk is full
     stream.send_recording_name(os.fsencode(tuning.log.name).decode(errors="replace"))
     words = rr.TextDocument(result_words(tuning), media_type="text/markdown")
     stream.log("result", words, static=True)
@@ -48,6 +47,7 @@ def write_review(tuning: Tuning, path: Path) -> None:
         log_sheets(stream, story)
         stream.send_blueprint(_blueprint(_tuning_layout(story)))
     stream.flush()
+    path.write_bytes(memory.drain_as_bytes())
     stream.disconnect()
 
 

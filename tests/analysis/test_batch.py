@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -64,6 +66,23 @@ def test_an_output_that_cannot_be_written_is_told_with_the_result(drop_log: Path
     (result,) = tune_all([drop_log], Options(), Path("/proc/nowhere"), 1, QUIET)
     assert result.row.verdict == "ok"
     assert "cannot be written" in (result.trouble or "")
+
+
+def test_a_full_disk_is_one_line_and_leaves_no_half_file(drop_log: Path, tmp_path: Path):
+    code = f"""
+import resource, signal, sys
+from analysis.cli.tune import main
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))
+sys.exit(main([{str(drop_log)!r}, "-o", {str(tmp_path / "out")!r}]))
+"""
+    words = [sys.executable, "-c", code]
+    result = subprocess.run(words, capture_output=True, text=True, timeout=60)
+    assert result.returncode == 1
+    assert "0.7000" in result.stdout
+    assert result.stderr.count("\n") == 1
+    assert "cannot be written (File too large)" in result.stderr
+    assert not list((tmp_path / "out").glob("*.rrd*"))
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
