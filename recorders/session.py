@@ -55,7 +55,7 @@ def record_episode(episode: Episode, path: Path, *, overwrite: bool, progress: P
     total = sum(len(one.stamps_ns) for one in episode.signals.values())
     with (
         stop_flag() as stop,
-        EpisodeWriter(path, episode.info, overwrite=overwrite) as writer,
+        EpisodeWriter(path, episode.info, overwrite=overwrite, live=False) as writer,
         progress.bar(total, "recording", "sample") as bar,
     ):
         for topic, one in episode.signals.items():

@@ -27,21 +27,25 @@ _FLUSH_SECONDS = 0.1
 class EpisodeWriter:
     """Writes one episode to `path` (ROS 2 CDR in MCAP).
 
-    The file is named `NAME.mcap.active` until it is whole. Chunks are small and closed at least
-    every 0.1 s of writing, so a killed recorder loses the last moments at most. The first write
-    error ends the recording: the file keeps its whole chunks, stays readable under its `.active`
-    name, and LogError says so.
+    The file is named `NAME.mcap.active` until it is whole. Chunks are small and, for a live
+    source, closed at least every 0.1 s, so a killed recorder loses the last moments at most. The
+    first write error ends the recording: the file keeps its whole chunks, stays readable under its
+    `.active` name, and LogError says so.
 
     Args:
         path: the finished log.
         info: written at once, and again with the final counts at the end.
         overwrite: replace an existing log (only once the new one is whole).
+        live: whether the source is gone once it is missed. Then chunks are closed by the clock;
+            else by their size alone, and the same episode gives the same bytes.
 
     Raises:
         LogError: `path` exists, or the folder cannot be written to.
     """
 
-    def __init__(self, path: Path, info: EpisodeInfo, *, overwrite: bool = False) -> None:
+    def __init__(
+        self, path: Path, info: EpisodeInfo, *, overwrite: bool = False, live: bool = True
+    ) -> None:
         self.path = path
         self.info = info
         self.active_path = path.with_name(path.name + ACTIVE_SUFFIX)
@@ -49,6 +53,7 @@ class EpisodeWriter:
         self._schemas: dict[str, int] = {}
         self._sequences: dict[str, int] = {}
         self._failed = False
+        self._live = live
         if path.is_dir():
             raise LogError(f"{path}: is a directory; name a file to write")
         if path.exists() and not overwrite:
@@ -130,7 +135,7 @@ class EpisodeWriter:
                 sequence=self._sequences[topic],
                 data=messages.encode(message, type_name),
             )
-            if time.monotonic() - self._flushed_at > _FLUSH_SECONDS:
+            if self._live and time.monotonic() - self._flushed_at > _FLUSH_SECONDS:
                 self._flush()
 
     def _register(self, topic: str, type_name: str) -> int:

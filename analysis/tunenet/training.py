@@ -51,6 +51,7 @@ def train(network: Network, pairs: PairSet, recipe: Recipe, seed: int, progress:
     """
     import torch
 
+    torch.set_num_threads(1)  # for networks this small, a second thread mostly waits for the first
     rng = np.random.default_rng(seed)
     scaling = _scaling(pairs, recipe.scaling)
     bank = (pairs.observations.reshape(len(pairs.values), -1) - scaling.input_offset) * (
