@@ -75,20 +75,28 @@ def rollout_drop(episode: Episode, rig: DropRig, contact: ContactSettings) -> Dr
 def paper_heights(drop: Drop) -> Observation:
     """400 samples of z [m] at 60 Hz from the release, as the paper's network has them.
 
-    z is that of a ball of 0.5 m radius on a plane at z = 0. The engine's step (v += -g dt, then
-    z += v dt) puts its k-th sample where free fall is after k + 1/2 periods. A recording that
-    starts with the release, to within a sample or so, is taken from its first sample on. One that
-    ends with the ball at rest goes on with it at rest; else what is missing is NaN.
+    z is that of a ball of 0.5 m radius on a plane at z = 0. A recording that ends with the ball at
+    rest goes on with it at rest; else what is missing is NaN.
     """
-    period_s = 1 / PAPER_RATE_HZ
-    axis = _paper_axis()
-    wanted = axis + drop.release_s + period_s / 2
-    if abs(drop.seconds[0] - drop.release_s - period_s / 2) < 1.5 * period_s:
-        wanted = axis + drop.seconds[0] - period_s
+    wanted = paper_start_s(drop) + _paper_axis()
     values = resample(drop.seconds, drop.heights_m - drop.table_m, wanted)
     if not np.isnan(drop.rest_m):
         values[wanted > drop.seconds[-1]] = 0.0
     return _paper_observation(values + PAPER_RADIUS_M)
+
+
+def paper_start_s(drop: Drop) -> float:
+    """When the paper's simulation of a drop starts, so that its k-th sample is k periods later [s].
+
+    The engine's step (v += -g dt, then z += v dt) puts its k-th sample where free fall is after
+    k + 1/2 periods. A recording that starts with the release, to within a sample or so, is taken
+    from its first sample on.
+    """
+    period_s = 1 / PAPER_RATE_HZ
+    start_s = drop.release_s + period_s / 2
+    if abs(drop.seconds[0] - start_s) < 1.5 * period_s:
+        return float(drop.seconds[0] - period_s)
+    return start_s
 
 
 def paper_rollout(episode: Episode) -> Observation:

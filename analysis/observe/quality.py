@@ -51,7 +51,7 @@ def recording_checks(drop: Drop, sideways_m: Array) -> list[Check]:
     periods = np.diff(drop.seconds)
     gap = float(periods.max() / np.median(periods))
     floor = 0.03 * height + 6 * drop.noise_m
-    checks = [
+    return [
         Check("first flight seen", seen > 0.9, f"{seen:.1f} fall times (wanted: 0.9 or more)"),
         Check(
             "stays on the table",
@@ -65,17 +65,6 @@ def recording_checks(drop: Drop, sideways_m: Array) -> list[Check]:
         ),
         Check("no samples missing", gap < 4, f"longest gap {gap:.1f} periods (at most 4)"),
     ]
-    if not np.isnan(drop.rest_m):
-        off = abs(drop.rest_m - drop.contact_m)
-        checks.append(
-            Check(
-                "rests where it hit",
-                off < drop.rest_tolerance_m,
-                f"{1000 * off:.1f} mm between impact and rest "
-                f"(at most {1000 * drop.rest_tolerance_m:.1f})",
-            )
-        )
-    return checks
 
 
 def fall_checks(drop: Drop, restitution: float) -> list[Check]:
@@ -96,6 +85,16 @@ def fall_checks(drop: Drop, restitution: float) -> list[Check]:
             f"{_CLEAR_HOP} times the noise)",
         )
     )
+    if not np.isnan(drop.rest_m):
+        off = abs(drop.rest_m - drop.contact_m)
+        checks.append(
+            Check(
+                "rests where it hit",
+                off < drop.rest_tolerance_m,
+                f"{1000 * off:.1f} mm between impact and rest "
+                f"(at most {1000 * drop.rest_tolerance_m:.1f})",
+            )
+        )
     flight_samples = 2 * restitution * drop.fall_time_s / float(np.median(np.diff(drop.seconds)))
     if not np.isnan(drop.drag):
         most = 0.02 + 2 * drop.drag_sd

@@ -72,7 +72,7 @@ def story_of(tuning: Tuning) -> Story:
     """The story of a tuning that found a drop."""
     found, drop = tuning.found, tuning.found.drop
     steps = tuning.trace.steps if tuning.trace else ()
-    heights = drop.heights_m - drop.contact_m
+    heights = drop.heights_m - (drop.contact_m if tuning.physical else drop.table_m)
     observed = Curve("observed", OBSERVED, 2.5, float("nan"), drop.seconds, heights)
     simulated: list[Curve] = []
     for k, step in enumerate(steps):

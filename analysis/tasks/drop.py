@@ -215,7 +215,7 @@ def _rig_like(found: FoundDrop) -> tuple[DropRig, ContactSettings]:
     drop = found.drop
     if not PRESETS[found.preset].physical:
         gap = drop.release_m - drop.table_m
-        start_ns = found.start_ns + round(1e9 * drop.release_s)
+        start_ns = found.start_ns + round(1e9 * views.paper_start_s(drop))
         return DropRig(gap, views.PAPER_RADIUS_M, views.PAPER_RATE_HZ, start_ns=start_ns), PAPER
     period_s = float(np.median(np.diff(drop.seconds)))
     fall_s = float(np.sqrt(2 * drop.drop_height_m / CALIBRATED.gravity_m_s2))
