@@ -10,6 +10,7 @@ import pytest
 from rerun.chunk import RrdReader
 
 from analysis.review import write_review
+from analysis.review.story import story_of
 from analysis.tuning import Options, Tuning, tune_log
 from tests.conftest import BIN, record
 from tests.strangers import Stranger, write_poses
@@ -84,8 +85,15 @@ def test_a_place_that_cannot_be_written_raises(tuned: Tuning):
 
 
 def test_the_simulated_curve_of_the_result_lies_on_the_observed_one(tuned: Tuning):
-    from analysis.review.story import story_of
-
     story = story_of(tuned)
     off = story.simulated[-1].minus(story.observed).heights_m
     assert np.abs(off).max() < 1e-3
+
+
+def test_the_papers_rollouts_lie_over_the_observed_curve_too(tmp_path: Path):
+    path = record(tmp_path / "a.mcap", preset="paper", restitution=0.55, height_m=4.0)
+    story = story_of(tune_log(path, Options(preset="paper-code")))
+    off = story.simulated[-1].minus(story.observed).heights_m
+    falling = story.observed.seconds < story.impact_s
+    assert np.abs(off[falling]).max() < 0.05
+    assert np.sqrt(np.mean(off**2)) < 0.1
