@@ -66,7 +66,6 @@ def rollout_drop(episode: Episode, rig: DropRig, contact: ContactSettings) -> Dr
         drag=0.0,
         drag_sd=0.0,
         noise_m=0.0,
-        fall_residual_m=0.0,
         rest_m=rig.radius_m,
         rest_tolerance_m=0.0,
     )

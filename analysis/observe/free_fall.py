@@ -56,7 +56,6 @@ class Drop:
         drag: how much slower it falls than it flies, (g_flight - g_fall) / g_flight; NaN likewise.
         drag_sd: its standard error; NaN likewise.
         noise_m: standard deviation of the samples about a smooth curve [m].
-        fall_residual_m: root mean square of the fall about its parabola [m].
         rest_m: height where the ball comes to rest [m]; NaN where it is not seen to.
         rest_tolerance_m: how far from the contact that may be on one table [m].
     """
@@ -75,7 +74,6 @@ class Drop:
     drag: float
     drag_sd: float
     noise_m: float
-    fall_residual_m: float
     rest_m: float
     rest_tolerance_m: float
 
@@ -176,7 +174,7 @@ def _fit(seconds: Array, heights: Array, start: int, index: int, noise: float) -
     clock = seconds - seconds[index]
     lately = heights[max(start, int(np.searchsorted(clock, -_NOISE_WINDOW_S))) : index]
     noise = max(noise, _noise(lately)) if len(lately) >= _MIN_SAMPLES else noise
-    fall, residual = fall_samples(clock, heights, start, index, noise)
+    fall = fall_samples(clock, heights, start, index, noise)
     parabola = fit_parabola(clock, heights, fall)
     flight = flight_samples(clock, heights, index, parabola, noise)
     if len(flight):
@@ -216,7 +214,6 @@ def _fit(seconds: Array, heights: Array, start: int, index: int, noise: float) -
         drag=1 - fall_gravity / flight_gravity,
         drag_sd=float(np.hypot(fall_sd, flight_sd)) / abs(flight_gravity),
         noise_m=noise,
-        fall_residual_m=residual,
         rest_m=level,
         rest_tolerance_m=tolerance,
     )

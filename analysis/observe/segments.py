@@ -22,10 +22,8 @@ def fit_parabola(clock: Array, heights: Array, samples: Samples) -> Parabola:
     return float(curve), float(slope), float(offset)
 
 
-def fall_samples(
-    clock: Array, heights: Array, start: int, index: int, noise: float
-) -> tuple[Samples, float]:
-    """Samples of the free fall before an impact, and their residual [m] about a parabola.
+def fall_samples(clock: Array, heights: Array, start: int, index: int, noise: float) -> Samples:
+    """Samples of the free fall before an impact.
 
     Of what leads down to the impact, the largest lower share that is a parabola: the ball may have
     been held, carried or lowered by hand before.
@@ -57,7 +55,7 @@ def fall_samples(
         parabola = fit_parabola(clock, heights, samples)
         residual = _rms(heights[samples] - np.polyval(parabola, clock[samples]))
         if parabola[0] < 0 and residual < 2 * noise + 0.002 * depth:
-            return samples, residual
+            return samples
     raise NotFoundError("no free fall is seen before an impact (carried, or too few samples)")
 
 

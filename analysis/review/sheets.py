@@ -15,7 +15,6 @@ from analysis.review.sending import at_iterations, at_seconds, screen_radius
 from analysis.review.story import MUTED, OBSERVED, Curve, Story
 
 Array = NDArray[np.float64]
-Label = tuple[float, float, str]
 
 _HEIGHTS_WIDTH = 1.7
 _CONVERGENCE_WIDTH = 2.8

@@ -62,11 +62,12 @@ def _paper_pairs(count: int | None, seed: int, jobs: int | None, progress: Progr
 
 
 def _canonical_pairs(count: int | None, seed: int, jobs: int | None, progress: Progress) -> PairSet:
-    """Restitutions over all of [0, 1], evenly; any rig will do, so heights and rates vary."""
+    """Restitutions evenly over their range; any rig will do, so heights and rates vary."""
     count = count or _PAIRS
     rollouts = min(_ROLLOUTS, 2 * count)
     rng = np.random.default_rng(seed)
-    values = (np.arange(rollouts) + rng.random(rollouts)) / rollouts
+    low, high = RESTITUTION.training_range
+    values = low + (high - low) * (np.arange(rollouts) + rng.random(rollouts)) / rollouts
     gaps = rng.uniform(*_GAP_M, rollouts)
     rates = rng.choice(_RATES_HZ, rollouts)
     plans = []

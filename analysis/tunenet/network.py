@@ -61,8 +61,8 @@ class PaperNetwork:
 class AntisymmetricNetwork:
     """h(o_P, o_T) = (g(o_P, o_T) - g(o_T, o_P)) / 2: exactly 0 where the two are equal.
 
-    The paper's network has a bias at its fixed point, about as large as its whole error. This one
-    cannot have any, so its iterations end at the target. g shares one first layer for both sides
+    The paper's network has a bias at its fixed point. This one cannot have any, so its iterations
+    end at the target. g shares one first layer for both sides
     and has no tanh.
     """
 
