@@ -68,13 +68,16 @@ class Frame:
 
     Attributes:
         stamp_ns: acquisition time [ns].
-        encoding: format of `data`, as in sensor_msgs/CompressedImage ("jpeg", "png").
-        data: the encoded bytes.
+        encoding: format of `data`: "jpeg" or "png" as in sensor_msgs/CompressedImage, or "rgb8"
+            for the bare pixels of a decoded video.
+        data: the bytes.
+        size: (width, height) [px] of bare pixels; None where `data` says it itself.
     """
 
     stamp_ns: int
     encoding: str
     data: bytes
+    size: tuple[int, int] | None = None
 
     def decode(self) -> NDArray[np.uint8]:
         """RGB picture, uint8, shape (H, W, 3).
@@ -84,6 +87,9 @@ class Frame:
         """
         from tunenet_logs.images import decode_image
 
+        if self.size is not None:
+            width, height = self.size
+            return np.frombuffer(self.data, np.uint8).reshape(height, width, 3)
         return decode_image(self.data, self.encoding)
 
 

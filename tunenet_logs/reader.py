@@ -15,6 +15,7 @@ from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame, Signal
 from tunenet_logs.errors import LogError
 from tunenet_logs.formats import ros2_cdr
 from tunenet_logs.formats.mcap_container import MAGIC, read_records
+from tunenet_logs.formats.video import read_video
 from tunenet_logs.messages import COMPRESSED_IMAGE
 from tunenet_logs.stamps import order_samples
 from tunenet_logs.writer import INFO_RECORD
@@ -67,7 +68,8 @@ def read_episode(path: Path) -> Episode:
     Raises:
         LogError: `path` does not exist, is not a log, or holds nothing readable at all.
     """
-    _check_is_log(path)
+    if _start_of(path) != MAGIC:
+        return _read_foreign(path)
     losses: list[str] = []
     schemas: dict[int, Schema] = {}
     gathered: dict[int, _Gathered] = {}
@@ -96,7 +98,8 @@ def read_episode(path: Path) -> Episode:
     )
 
 
-def _check_is_log(path: Path) -> None:
+def _start_of(path: Path) -> bytes:
+    """The first bytes of a file that may be a log."""
     try:
         if not path.exists():
             raise LogError(f"{path}: no such file")
@@ -110,8 +113,16 @@ def _check_is_log(path: Path) -> None:
         raise LogError(f"{path}: cannot be read ({error.strerror})") from error
     if not start:
         raise LogError(f"{path}: is empty; record it again")
-    if start != MAGIC:
-        raise LogError(f"{path}: is not an MCAP log (it starts with {start!r})")
+    return start
+
+
+def _read_foreign(path: Path) -> Episode:
+    """A file that is no MCAP: a video, or nothing that is read here."""
+    try:
+        return read_video(path)
+    except LogError as error:
+        why = str(error).removeprefix(f"{path}: ")
+        raise LogError(f"{path}: is not an MCAP log; {why}") from error
 
 
 def _signals(channels: Iterable[_Gathered]) -> tuple[dict[str, Signal], list[str]]:
