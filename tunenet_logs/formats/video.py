@@ -175,9 +175,10 @@ def _frames_of(video: Video) -> Iterator[Frame]:
 @contextmanager
 def _opened(path: Path) -> Iterator[InputContainer]:
     import av
+    from av import logging
     from av.error import FFmpegError
 
-    av.logging.set_level(None)  # errors come as exceptions; its printing would only disturb
+    logging.set_level(None)  # errors come as exceptions; its printing would only disturb
     options = {"format_whitelist": _CONTAINERS, "protocol_whitelist": "file,pipe"}
     try:
         with open(path, "rb") as file, av.open(file, "r", options=options) as container:
