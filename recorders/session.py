@@ -11,6 +11,7 @@ from pathlib import Path
 from types import FrameType
 
 from tunenet_logs.episode import Episode
+from tunenet_logs.messages import CAMERA_TOPIC
 from tunenet_logs.progress import Progress
 from tunenet_logs.writer import EpisodeWriter
 
@@ -46,13 +47,14 @@ def stop_flag() -> Iterator[threading.Event]:
 
 
 def record_episode(episode: Episode, path: Path, *, overwrite: bool, progress: Progress) -> Summary:
-    """Write the positions of a simulated episode as if they came from a sensor.
+    """Write the positions or pictures of a simulated episode as if they came from a sensor.
 
     Raises:
         LogError: `path` exists or cannot be written; what was written before is kept.
     """
     captured = 0
     total = sum(len(one.stamps_ns) for one in episode.signals.values())
+    total += sum(channel.messages for channel in episode.channels)
     with (
         stop_flag() as stop,
         EpisodeWriter(path, episode.info, overwrite=overwrite, live=False) as writer,
@@ -65,6 +67,12 @@ def record_episode(episode: Episode, path: Path, *, overwrite: bool, progress: P
                 captured += 1
                 writer.write_pose(topic, int(stamp_ns), position_m)
                 bar.update(1)
+        for frame in episode.frames():
+            if stop.is_set():
+                break
+            captured += 1
+            writer.write_frame(CAMERA_TOPIC, frame)
+            bar.update(1)
         ended = "stopped by a signal" if stop.is_set() else ""
         writer.close(ended, captured=captured, dropped=captured - writer.written)
     return Summary(captured, writer.written, captured - writer.written, ended)

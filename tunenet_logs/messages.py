@@ -17,6 +17,9 @@ from rosbags.typesys.store import Typestore
 POSE = "geometry_msgs/msg/PoseStamped"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 
+CAMERA_TOPIC = "/camera/image_raw/compressed"
+"""Where a camera's frames go in our own logs."""
+
 _PARSERS = {"ros2msg": get_types_from_msg, "ros2idl": get_types_from_idl}
 
 

@@ -68,8 +68,7 @@ class Video:
             for picture in container.decode(_video_stream(container, self.path)):
                 if picture.width * picture.height > MAX_PIXELS:
                     raise LogError(f"{self.path}: a picture claims {picture.width} px of width")
-                pixels = picture.to_ndarray(format="rgb24")
-                upright = np.ascontiguousarray(np.rot90(pixels, self.rotation_deg // 90))
+                upright = _turned(picture.to_ndarray(format="rgb24"), self.rotation_deg)
                 stamp_ns = next(stamps, None)
                 if stamp_ns is None:
                     return
@@ -170,6 +169,18 @@ def video_notes(video: Video) -> dict[str, str]:
 
 def _frames_of(video: Video) -> Iterator[Frame]:
     return video.frames()
+
+
+def _turned(pixels: np.ndarray, counterclockwise_deg: int) -> np.ndarray:
+    import cv2
+
+    turns = {
+        90: cv2.ROTATE_90_COUNTERCLOCKWISE,
+        180: cv2.ROTATE_180,
+        270: cv2.ROTATE_90_CLOCKWISE,
+    }
+    turn = turns.get(counterclockwise_deg % 360)
+    return pixels if turn is None else cv2.rotate(pixels, turn)
 
 
 @contextmanager

@@ -1,0 +1,147 @@
+"""What stands out of the background in one picture: candidates for the ball."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.observe.tracking.background import Background
+
+Picture = NDArray[np.uint8]
+Array = NDArray[np.float64]
+
+_MOST = 12
+_LEAST_AREA_PX = 5
+_BIG = 0.05
+"""Share of the picture that no ball takes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Blobs:
+    """The N candidates in one picture, the strongest first.
+
+    Attributes:
+        places_px: x right, y down; the first pixel's centre is 0, 0; shape (N, 2).
+        areas_px: shape (N,).
+        colours: mean RGB, shape (N, 3).
+        whole: whether it ends inside the picture, shape (N,).
+        sizes_px: width and height, shape (N, 2).
+    """
+
+    places_px: Array
+    areas_px: Array
+    colours: Array
+    whole: NDArray[np.bool_]
+    sizes_px: Array
+
+    def __len__(self) -> int:
+        return len(self.areas_px)
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """How the ball looks.
+
+    Attributes:
+        colour: RGB, shape (3,).
+        area_px: of its picture.
+        inside: also searched where it does not differ from the background by its threshold.
+    """
+
+    colour: Array
+    area_px: float
+
+    @property
+    def radius_px(self) -> float:
+        """Of a disc of that area."""
+        return float(np.sqrt(self.area_px / np.pi))
+
+
+def moving_blobs(picture: Picture, background: Background, allowed: Picture | None) -> Blobs:
+    """Candidates by their difference from the background alone."""
+    difference = background.difference(picture)
+    mask = difference > background.threshold
+    if allowed is not None:
+        mask &= allowed.astype(bool)
+    return _components(picture, mask.astype(np.uint8), difference.astype(np.float32))
+
+
+def coloured_blobs(
+    picture: Picture, background: Background, look: Look, allowed: Picture | None
+) -> Blobs:
+    """Candidates by how much of each pixel is ball.
+
+    A pixel is part background B, part ball C, part shadow: I - B = a (C - B) - b B, a, b >= 0.
+    """
+    difference = background.difference(picture)
+    mask = difference > background.threshold // 2 + 3
+    if allowed is not None:
+        mask &= allowed.astype(bool)
+    still = background.picture[mask].astype(np.float32)
+    off = picture[mask].astype(np.float32) - still
+    share = np.zeros(mask.shape, np.float32)
+    share[mask] = _ball_share(off, look.colour.astype(np.float32) - still, -still)
+    solid = (share > 0.25).astype(np.uint8)
+    return _components(picture, solid, share)
+
+
+def hsv_blobs(picture: Picture, low: Array, high: Array, allowed: Picture | None) -> Blobs:
+    """Candidates by a range of hue (0 to 179, may wrap), saturation and value (0 to 255)."""
+    import cv2
+
+    hsv = cv2.cvtColor(picture, cv2.COLOR_RGB2HSV)
+    if low[0] <= high[0]:
+        inside = cv2.inRange(hsv, low, high)
+    else:  # red lies on both sides of hue 0
+        inside = cv2.inRange(hsv, low, np.array([179, *high[1:]]))
+        inside |= cv2.inRange(hsv, np.array([0, *low[1:]]), high)
+    mask = np.asarray(inside > 0, np.uint8)
+    if allowed is not None:
+        mask &= allowed
+    return _components(picture, mask, mask.astype(np.float32))
+
+
+def _ball_share(
+    off: NDArray[np.float32], towards: NDArray[np.float32], shade: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Non-negative least squares of two columns, pixel by pixel, clipped to [0, 1]."""
+    aa = (towards**2).sum(axis=1) + 1.0
+    bb = (shade**2).sum(axis=1) + 1.0
+    ab = (towards * shade).sum(axis=1)
+    ya, yb = (off * towards).sum(axis=1), (off * shade).sum(axis=1)
+    share = (ya * bb - yb * ab) / np.maximum(aa * bb - ab**2, 1e-3 * aa * bb)
+    shadow = (yb * aa - ya * ab) / np.maximum(aa * bb - ab**2, 1e-3 * aa * bb)
+    share = np.where(shadow < 0, ya / aa, share)
+    share = np.where(aa < 300, 0.0, share)  # background of the ball's own colour tells nothing
+    return np.clip(share, 0.0, 1.0)
+
+
+def _components(picture: Picture, mask: Picture, weight: NDArray[np.float32]) -> Blobs:
+    import cv2
+
+    mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    height, width = mask.shape
+    rows: list[tuple[float, ...]] = []
+    for label in range(1, count):
+        left, top, wide, tall, area = (int(value) for value in stats[label])
+        if not _LEAST_AREA_PX <= area <= _BIG * mask.size:
+            continue
+        box = slice(top, top + tall), slice(left, left + wide)
+        part = labels[box] == label
+        mass = np.where(part, weight[box], 0.0)
+        total = float(mass.sum())
+        if total <= 0:
+            continue
+        ys, xs = np.mgrid[box[0], box[1]]
+        core = mass > 0.6 * mass.max()
+        colour = picture[box][core].mean(axis=0)
+        whole = left > 0 and top > 0 and left + wide < width and top + tall < height
+        x, y = float((mass * xs).sum() / total), float((mass * ys).sum() / total)
+        soft = total / float(mass.max()) if weight.max() > 1 else total
+        rows.append((total, x, y, max(soft, 1.0), *colour, float(whole), wide, tall))
+    rows.sort(reverse=True)
+    table = np.array(rows[:_MOST], np.float64).reshape(-1, 10)
+    return Blobs(table[:, 1:3], table[:, 3], table[:, 4:7], table[:, 7] > 0, table[:, 8:10])

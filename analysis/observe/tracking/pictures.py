@@ -1,0 +1,118 @@
+"""An episode's pictures, as often as they are needed, never all in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tunenet_logs.episode import Episode, Frame
+from tunenet_logs.errors import LogError, NotFoundError, UsageError
+
+Picture = NDArray[np.uint8]
+
+_MOST_PIXELS = 480_000
+"""Above that, pictures are reduced: a ball is still found to a small part of a pixel."""
+
+
+class Pictures:
+    """The decoded pictures of an episode, reduced to a size at which tracking is quick.
+
+    Attributes:
+        stamps_ns: of the pictures, shape (T,), strictly increasing.
+        size_px: (width, height) before reduction.
+        scale: by which they are reduced, a whole number.
+        damaged: pictures that could not be decoded and are left out.
+
+    Args:
+        episode: with frames.
+        start_s: leave out what comes before, in seconds since the first frame.
+        end_s: leave out what comes after.
+
+    Raises:
+        NotFoundError: there is none.
+    """
+
+    def __init__(
+        self, episode: Episode, start_s: float | None = None, end_s: float | None = None
+    ) -> None:
+        self._episode = episode
+        self._start_s = start_s
+        self._end_s = end_s
+        self.size_px = (0, 0)
+        self.scale = 1
+        self.damaged = 0
+        stamps: list[int] = []
+        self._kept: set[int] = set()
+        for index, frame in self._selected():
+            try:
+                picture = frame.decode()
+            except LogError:
+                self.damaged += 1
+                continue
+            height, width = picture.shape[:2]
+            if not stamps:
+                self.size_px = (width, height)
+                self.scale = max(1, int(np.ceil(np.sqrt(width * height / _MOST_PIXELS))))
+            if (width, height) == self.size_px and (not stamps or frame.stamp_ns > stamps[-1]):
+                stamps.append(frame.stamp_ns)
+                self._kept.add(index)
+        if not stamps:
+            raise NotFoundError("holds no picture that can be decoded (in the part selected)")
+        self.stamps_ns = np.array(stamps, np.int64)
+
+    def __iter__(self) -> Iterator[Picture]:
+        for index, frame in self._selected():
+            if index in self._kept:
+                yield self._reduced(frame.decode())
+
+    def allowed(self, roi: tuple[int, int, int, int] | None) -> Picture | None:
+        """Where the ball may be: 1 inside the box, 0 outside; None for everywhere.
+
+        Raises:
+            UsageError: the box is not in the picture.
+        """
+        if roi is None:
+            return None
+        left, top, width, height = roi
+        wide, tall = self.size_px
+        inside = 0 <= left < left + width <= wide and 0 <= top < top + height <= tall
+        if not inside:
+            raise UsageError(f"--roi {roi} is not inside the picture of {wide} x {tall} px")
+        mask = np.zeros((tall, wide), np.uint8)
+        mask[top : top + height, left : left + width] = 1
+        return self._reduced(mask)
+
+    def scaled(self, ball_at: tuple[float, float, float]) -> tuple[float, float, float]:
+        """A place in the picture [px], and a time [s], as it is in the reduced one.
+
+        Raises:
+            UsageError: the place is not in the picture.
+        """
+        x, y, at_s = ball_at
+        wide, tall = self.size_px
+        if not (0 <= x < wide and 0 <= y < tall):
+            raise UsageError(f"--ball-at {x:g},{y:g} is not in the picture of {wide} x {tall} px")
+        return x / self.scale, y / self.scale, at_s
+
+    def _selected(self) -> Iterator[tuple[int, Frame]]:
+        first_ns: int | None = None
+        for index, frame in enumerate(self._episode.frames()):
+            first_ns = frame.stamp_ns if first_ns is None else first_ns
+            since_s = (frame.stamp_ns - first_ns) * 1e-9
+            if self._start_s is not None and since_s < self._start_s:
+                continue
+            if self._end_s is not None and since_s > self._end_s:
+                continue
+            yield index, frame
+
+    def _reduced(self, picture: Picture) -> Picture:
+        if self.scale == 1:
+            return picture
+        import cv2
+
+        height, width = picture.shape[:2]
+        size = (width // self.scale, height // self.scale)
+        cut = picture[: size[1] * self.scale, : size[0] * self.scale]
+        return np.asarray(cv2.resize(cut, size, interpolation=cv2.INTER_AREA), np.uint8)

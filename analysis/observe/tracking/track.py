@@ -1,0 +1,255 @@
+"""The ball's way through the pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.observe.tracking.arcs import Arc, Candidates, longest_arc, tabulate
+from analysis.observe.tracking.background import (
+    Background,
+    sampled,
+    still_background,
+    without_ball,
+)
+from analysis.observe.tracking.blobs import Blobs, Look, coloured_blobs, hsv_blobs, moving_blobs
+from analysis.observe.tracking.pictures import Pictures
+from tunenet_logs.errors import NotFoundError
+
+Array = NDArray[np.float64]
+Picture = NDArray[np.uint8]
+
+_SAMPLES = 48
+_LOST_S = 0.4
+_LEAST_SEEN = 8
+
+
+@dataclass(frozen=True)
+class Hints:
+    """What a user may say about the ball; nothing is needed.
+
+    Attributes:
+        roi: left, top, width, height [px] of the part of the picture to look in.
+        hsv: lowest and highest hue (0 to 179), saturation and value (0 to 255) of the ball.
+        ball_at: x, y [px] of the ball, and when [s since the first frame].
+    """
+
+    roi: tuple[int, int, int, int] | None = None
+    hsv: tuple[tuple[int, int, int], tuple[int, int, int]] | None = None
+    ball_at: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """Where the ball is in each picture.
+
+    Attributes:
+        stamps_ns: of all pictures, shape (T,).
+        places_px: x right, y down; the first pixel's centre is 0, 0; shape (T, 2); NaN where the
+            ball is not found.
+        radius_px: shape (T,); NaN likewise.
+        confidence: 0 to 1, shape (T,).
+        size_px: (width, height) of the pictures.
+        gravity_px: acceleration in flight [px/s²], shape (2,).
+        colour: RGB of the ball.
+    """
+
+    stamps_ns: NDArray[np.int64]
+    places_px: Array
+    radius_px: Array
+    confidence: Array
+    size_px: tuple[int, int]
+    gravity_px: Array
+    colour: tuple[int, int, int]
+
+    @property
+    def found(self) -> NDArray[np.bool_]:
+        """Whether the ball is found in each picture, shape (T,)."""
+        return np.isfinite(self.places_px[:, 0])
+
+
+def track_ball(pictures: Pictures, hints: Hints | None = None) -> Track:
+    """Find the ball by its free flight, learn how it looks, and follow it through all pictures.
+
+    Raises:
+        NotFoundError: nothing in the pictures flies as a ball does.
+        UsageError: a hint that does not fit the pictures.
+    """
+    hints = hints or Hints()
+    stamps_ns = pictures.stamps_ns
+    if len(stamps_ns) < _LEAST_SEEN:
+        raise NotFoundError(f"{len(stamps_ns)} pictures are too few for a drop")
+    seconds = (stamps_ns - stamps_ns[0]).astype(np.float64) * 1e-9
+    allowed = pictures.allowed(hints.roi)
+    count = min(_SAMPLES, len(seconds))
+    wanted = np.linspace(0, len(seconds) - 1, count).astype(int)
+    samples = sampled(pictures, set(wanted.tolist()))
+    background = still_background(samples)
+
+    def candidates(find: Callable[[Picture], Blobs]) -> Candidates:
+        return tabulate(seconds, [find(picture) for picture in pictures])
+
+    if hints.hsv is not None:
+        low, high = (np.array(one) for one in hints.hsv)
+        table = candidates(lambda one: hsv_blobs(one, low, high, allowed))
+        arc = _arc_of(table)
+        chosen, cost = _follow(table, arc, _look(table, arc))
+        return _track(pictures, table, chosen, cost, arc)
+    table = candidates(lambda one: moving_blobs(one, background, allowed))
+    if hints.ball_at is not None:
+        table = _only_like(table, pictures.scaled(hints.ball_at))
+    arc = _arc_of(table)
+    look = _look(table, arc)
+    chosen, _ = _follow(table, arc, look)
+    places = _filled(_chosen(table.places_px, chosen))
+    clear = without_ball(samples, places[wanted], 2.5 * look.radius_px + 2)
+    table = candidates(lambda one: coloured_blobs(one, clear, look, allowed))
+    arc = _same_arc(table, arc, places)
+    look = _look(table, arc)
+    chosen, cost = _follow(table, arc, look)
+    return _track(pictures, table, chosen, cost, arc)
+
+
+def _arc_of(table: Candidates) -> Arc:
+    arc = longest_arc(table) if table.areas_px.size else None
+    if arc is None:
+        raise NotFoundError(
+            "no ball is seen to fly: nothing in the pictures moves along a parabola "
+            "(mark it with --roi, --hsv or --ball-at if it is hard to see)"
+        )
+    return arc
+
+
+def _only_like(table: Candidates, ball_at: tuple[float, float, float]) -> Candidates:
+    """Without the candidates that look unlike the one nearest to where the user saw the ball."""
+    x, y, at_s = ball_at
+    frame = int(np.abs(table.seconds - at_s).argmin())
+    apart = np.linalg.norm(table.places_px[frame] - np.array([x, y]), axis=1)
+    if not np.isfinite(apart).any():
+        raise NotFoundError(f"nothing moves at {x:.0f}, {y:.0f} px at {at_s:.2f} s")
+    nearest = int(np.nanargmin(apart))
+    colour, area = table.colours[frame, nearest], table.areas_px[frame, nearest]
+    unlike = np.linalg.norm(table.colours - colour, axis=2) > 90
+    unlike |= np.abs(np.log(table.areas_px / area)) > np.log(4)
+    areas = np.where(unlike, np.nan, table.areas_px)
+    places = np.where(unlike[:, :, None], np.nan, table.places_px)
+    return replace(table, areas_px=areas, places_px=places)
+
+
+def _same_arc(table: Candidates, arc: Arc, places: Array) -> Arc:
+    """The flight among new candidates."""
+    apart = np.linalg.norm(table.places_px[arc.frames] - places[arc.frames][:, None], axis=2)
+    apart = np.where(np.isfinite(apart), apart, np.inf)
+    if not apart.size:
+        raise NotFoundError("the ball looks like what is behind it (mark it with --hsv)")
+    nearest = apart.argmin(axis=1)
+    area = float(np.nanmedian(table.areas_px[arc.frames, nearest]))
+    near = apart[np.arange(len(nearest)), nearest] < 2 + np.sqrt(area / np.pi)
+    if near.sum() < 3:
+        raise NotFoundError("the ball looks like what is behind it (mark it with --hsv)")
+    return Arc(arc.frames[near], nearest[near], arc.gravity_px)
+
+
+def _look(table: Candidates, arc: Arc) -> Look:
+    colours = table.colours[arc.frames, arc.chosen]
+    areas = table.areas_px[arc.frames, arc.chosen]
+    return Look(np.median(colours, axis=0), float(np.median(areas)))
+
+
+def _follow(table: Candidates, arc: Arc, look: Look) -> tuple[NDArray[np.intp], Array]:
+    """From the flight on, to both ends of the recording.
+
+    Returns:
+        The candidate of each picture (-1 for none) and what speaks against it, shapes (T,).
+    """
+    chosen = np.full(len(table.seconds), -1)
+    cost = np.full(len(table.seconds), np.inf)
+    chosen[arc.frames] = arc.chosen
+    cost[arc.frames] = _unlike(table, arc.frames, arc.chosen, look)
+    for step in (1, -1):
+        frames, picks = arc.frames[::step], arc.chosen[::step]
+        _follow_on(table, frames, picks, arc.gravity_px, look, step, chosen, cost)
+    return chosen, cost
+
+
+def _follow_on(
+    table: Candidates,
+    frames: NDArray[np.intp],
+    picks: NDArray[np.intp],
+    gravity: Array,
+    look: Look,
+    step: int,
+    chosen: NDArray[np.intp],
+    cost: Array,
+) -> None:
+    radius = look.radius_px
+    last, before = int(frames[-1]), int(frames[-2])
+    place = table.places_px[last, picks[-1]]
+    seconds = table.seconds
+    span = seconds[last] - seconds[before]
+    velocity = (place - table.places_px[before, picks[-2]]) / span + gravity * span / 2
+    frame = last + step
+    while 0 <= frame < len(seconds) and abs(seconds[frame] - seconds[last]) < _LOST_S:
+        dt = seconds[frame] - seconds[last]
+        expected = place + velocity * dt + gravity * dt**2 / 2
+        speed = float(np.linalg.norm(velocity)) + float(np.linalg.norm(gravity)) * abs(dt)
+        off = np.linalg.norm(table.places_px[frame] - expected, axis=1)
+        moved = np.linalg.norm(table.places_px[frame] - place, axis=1)
+        reach = 1.3 * speed * abs(dt) + radius + 2
+        near = np.minimum((off / (radius + 1)) ** 2, 4.0)  # a bounce is not what was expected
+        against = near + _unlike(table, np.full(len(off), frame), np.arange(len(off)), look)
+        against = np.where(moved < reach, against, np.inf)
+        against = np.where(np.isfinite(against), against, np.inf)
+        best = int(against.argmin()) if len(against) else -1
+        if best >= 0 and against[best] < 12:
+            new = table.places_px[frame, best]
+            velocity = (new - place) / dt + gravity * dt / 2
+            place, last = new, frame
+            chosen[frame], cost[frame] = best, against[best]
+        frame += step
+
+
+def _unlike(
+    table: Candidates, frames: NDArray[np.intp], picks: NDArray[np.intp], look: Look
+) -> Array:
+    colour = np.linalg.norm(table.colours[frames, picks] - look.colour, axis=1) / 45
+    size = np.log(table.areas_px[frames, picks] / look.area_px) / 0.6
+    return colour**2 + size**2
+
+
+def _track(
+    pictures: Pictures, table: Candidates, chosen: NDArray[np.intp], cost: Array, arc: Arc
+) -> Track:
+    places = _chosen(table.places_px, chosen)
+    areas = _chosen(table.areas_px, chosen)
+    cut = ~_chosen(table.whole.astype(float), chosen).astype(bool)  # at the edge: half a ball
+    places[cut], areas[cut] = np.nan, np.nan
+    if np.isfinite(areas).sum() < _LEAST_SEEN:
+        raise NotFoundError("the ball is lost after a few pictures (mark it with --roi or --hsv)")
+    red, green, blue = np.nanmedian(_chosen(table.colours, chosen), axis=0).round().astype(int)
+    scale = pictures.scale
+    return Track(
+        stamps_ns=pictures.stamps_ns,
+        places_px=places * scale + (scale - 1) / 2,
+        radius_px=np.sqrt(areas / np.pi) * scale,
+        confidence=np.where(np.isfinite(areas), np.exp(-cost / 8), 0.0),
+        size_px=pictures.size_px,
+        gravity_px=arc.gravity_px * scale,
+        colour=(int(red), int(green), int(blue)),
+    )
+
+
+def _chosen(values: Array, chosen: NDArray[np.intp]) -> Array:
+    picked = values[np.arange(len(chosen)), np.maximum(chosen, 0)].astype(np.float64)
+    picked[chosen < 0] = np.nan
+    return picked
+
+
+def _filled(places: Array) -> Array:
+    """Gaps filled, and the ends held."""
+    known = np.flatnonzero(np.isfinite(places[:, 0]))
+    numbers = np.arange(len(places))
+    return np.column_stack([np.interp(numbers, known, places[known, axis]) for axis in (0, 1)])

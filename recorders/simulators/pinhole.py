@@ -1,0 +1,125 @@
+"""A pinhole camera: where the world's points are in its picture."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tunenet_logs.errors import UsageError
+
+Array = NDArray[np.float64]
+Point = tuple[float, float, float]
+
+_FARTHEST_M = 1e4
+_SIZES_PX = (16, 8192)
+
+
+@dataclass(frozen=True)
+class PinholeCamera:
+    """A camera without distortion, its picture upright (world z up).
+
+    Attributes:
+        position_m: where it stands.
+        target_m: the point in the middle of its picture.
+        size_px: (width, height).
+        fov_deg: field of view from the upper to the lower edge.
+
+    Raises:
+        UsageError: a value that is not finite or out of range, or a camera that looks straight up
+            or down.
+    """
+
+    position_m: Point
+    target_m: Point
+    size_px: tuple[int, int] = (320, 240)
+    fov_deg: float = 60.0
+
+    def __post_init__(self) -> None:
+        for name in ("position_m", "target_m"):
+            if not all(abs(value) < _FARTHEST_M for value in getattr(self, name)):
+                raise UsageError(f"camera: {name} {getattr(self, name)} is out of range")
+        low, high = _SIZES_PX
+        if not all(low <= value <= high for value in self.size_px):
+            raise UsageError(f"camera: size {self.size_px} is not from {low} to {high} px")
+        if not 1 <= self.fov_deg <= 150:
+            raise UsageError(f"camera: field of view {self.fov_deg:g} is not from 1 to 150 degrees")
+        sideways = math.dist(self.position_m[:2], self.target_m[:2])
+        if sideways < 1e-3 * math.dist(self.position_m, self.target_m) or not sideways:
+            raise UsageError("camera: it must not look straight up or down; move it sideways")
+
+    @property
+    def focal_px(self) -> float:
+        """Focal length [px]."""
+        return self.size_px[1] / 2 / math.tan(math.radians(self.fov_deg) / 2)
+
+    @property
+    def camera_from_world(self) -> Array:
+        """Rows are the camera's right, down and forward, shape (3, 3)."""
+        forward = np.subtract(self.target_m, self.position_m)
+        forward /= np.linalg.norm(forward)
+        right = np.cross(forward, [0.0, 0.0, 1.0])
+        right /= np.linalg.norm(right)
+        return np.array([right, np.cross(forward, right), forward])
+
+    def image_from_world(self, points_m: Array) -> Array:
+        """Pixels (x right, y down; the first pixel's centre is 0, 0) of points.
+
+        Args:
+            points_m: shape (N, 3).
+
+        Returns:
+            Shape (N, 2); NaN for a point behind the camera.
+        """
+        seen = (points_m - np.array(self.position_m)) @ self.camera_from_world.T
+        depth = np.where(seen[:, 2] > 0, seen[:, 2], np.nan)
+        middle = (np.array(self.size_px) - 1) / 2
+        return middle + self.focal_px * seen[:, :2] / depth[:, None]
+
+    def radius_px(self, points_m: Array, radius_m: float) -> Array:
+        """About how large balls at these points look, shape (N,)."""
+        depth = (points_m - np.array(self.position_m)) @ self.camera_from_world[2]
+        return self.focal_px * radius_m / depth
+
+    def sees(self, points_m: Array, margin_px: float) -> bool:
+        """Whether all points lie in the picture, that far from its edges."""
+        pixels = self.image_from_world(points_m)
+        far = np.array(self.size_px) - 1 - margin_px
+        return bool(np.all((pixels >= margin_px) & (pixels <= far)))  # NaN is not
+
+
+def random_camera(
+    rng: np.random.Generator,
+    gap_m: float,
+    radius_m: float,
+    size_px: tuple[int, int] = (320, 240),
+    fov_deg: float = 60.0,
+) -> PinholeCamera:
+    """The paper's random camera, in drop heights, so that it fits a drop of any height.
+
+    The paper draws r ~ U(5, 10) m, theta ~ U(0, 2 pi), z ~ U(5, 8) m and aims at (0, 0, 2) m for
+    drops from about 4.5 m. Cameras that do not have the whole drop in their picture are drawn again.
+
+    Args:
+        rng: where it is drawn from.
+        gap_m: drop height.
+        radius_m: of the ball.
+        size_px: (width, height).
+        fov_deg: field of view from the upper to the lower edge.
+
+    Raises:
+        UsageError: no camera of this view has the whole drop in its picture.
+    """
+    scale = gap_m / 4.5
+    path = np.array([[0.0, 0.0, radius_m], [0.0, 0.0, radius_m + gap_m]])
+    for _ in range(200):
+        distance = scale * rng.uniform(5.0, 10.0) + 2 * radius_m
+        angle = rng.uniform(0.0, 2 * math.pi)
+        height = scale * rng.uniform(5.0, 8.0) + 2 * radius_m
+        position = (distance * math.cos(angle), distance * math.sin(angle), height)
+        camera = PinholeCamera(position, (0.0, 0.0, 2 * scale), size_px, fov_deg)
+        if camera.sees(path, 2 + float(camera.radius_px(path, radius_m).max())):
+            return camera
+    raise UsageError(f"no random camera of {fov_deg:g} degrees sees the whole drop; widen --fov")
