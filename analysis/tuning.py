@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from analysis.estimators.base import Problem, Step, Trace
 from analysis.estimators.tunenet import TuneNet
 from analysis.observe.quality import Check
-from analysis.tasks import TASKS
+from analysis.tasks import TASKS, task_for
 from analysis.tasks.base import CrossCheck, Preset, Selection, Task
 from analysis.tunenet.checkpoint import load_model, shipped_model
 from analysis.tunenet.network import Model
@@ -111,14 +111,14 @@ def tune_log(path: Path, options: Options) -> Tuning:
         return replace(rejected, reason=str(error).removeprefix(f"{path}: "))
     watch.lap("read")
     kind = options.task or episode.info.kind or "drop"
-    if kind not in TASKS:
-        known = ", ".join(TASKS)
+    task = task_for(kind, episode, options.selection.topic)
+    if task is None:
+        known = ", ".join(sorted({one.kind for one in TASKS.values()}))
         return replace(rejected, reason=f"holds a {kind!r}; what can be tuned is: {known}")
-    task = TASKS[kind]
     preset = _preset(task, options)
     rejected = replace(
         rejected,
-        task=task.name,
+        task=task.kind,
         episode=episode,
         parameters=task.parameters,
         warnings=episode.warnings,

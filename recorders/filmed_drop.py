@@ -20,7 +20,7 @@ from tunenet_logs.messages import CAMERA_TOPIC, COMPRESSED_IMAGE
 Array = NDArray[np.float64]
 
 CAMERA_SEED = 0xCA3E
-"""Draws for the camera have a stream of their own, so that --seed gives one drop with and without."""
+"""The camera is drawn from a stream of its own: a seed gives one drop, filmed or not."""
 
 _JPEG_QUALITY = 92
 _SUBFRAMES = 8
@@ -91,6 +91,7 @@ def film_drop(order: DropOrder, film: FilmOrder) -> Episode:
         messages=int(kept.sum()),
         first_ns=int(stamps_ns[0]),
         last_ns=int(stamps_ns[kept][-1]),
+        pictures=True,
     )
     return Episode(info, {}, (channel,), open_frames=frames)
 
@@ -120,6 +121,7 @@ def _frames(
     centers_m: Array,
     noise: float,
     seed: int,
+    _topic: str,
 ) -> Iterator[Frame]:
     import cv2
 

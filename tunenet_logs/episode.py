@@ -159,6 +159,7 @@ class Channel:
 
     Attributes:
         skipped: why its messages are not used; None where they are.
+        pictures: whether its messages are images that `Episode.frames` gives.
     """
 
     topic: str
@@ -168,6 +169,7 @@ class Channel:
     first_ns: int
     last_ns: int
     skipped: str | None = None
+    pictures: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,18 +181,26 @@ class Episode:
         signals: by name (a log's topic).
         channels: every channel of the log, those that were skipped too.
         warnings: what was lost, repaired or doubtful on the way, in words.
-        open_frames: opens a fresh iterator over the frames of a topic.
+        open_frames: opens a fresh iterator over the frames of one of `picture_topics`.
     """
 
     info: EpisodeInfo
     signals: Mapping[str, Signal]
     channels: tuple[Channel, ...] = ()
     warnings: tuple[str, ...] = ()
-    open_frames: Callable[[], Iterator[Frame]] | None = None
+    open_frames: Callable[[str], Iterator[Frame]] | None = None
 
-    def frames(self) -> Iterator[Frame]:
-        """The images in the order of the log, one at a time."""
-        return iter(()) if self.open_frames is None else self.open_frames()
+    @property
+    def picture_topics(self) -> tuple[str, ...]:
+        """Channels of images, in the order of the log."""
+        return tuple(one.topic for one in self.channels if one.pictures and one.skipped is None)
+
+    def frames(self, topic: str | None = None) -> Iterator[Frame]:
+        """The images of a topic (the first if None) in the order of the log, one at a time."""
+        topics = self.picture_topics
+        if self.open_frames is None or not topics:
+            return iter(())
+        return self.open_frames(topic or topics[0])
 
     def to_pandas(self) -> pd.DataFrame:
         """All signals in one table: index `stamp_ns`, columns (signal, column)."""

@@ -157,21 +157,25 @@ def _summary(one: _Gathered) -> Channel:
         first_ns=one.first_ns,
         last_ns=one.last_ns,
         skipped=one.skipped,
+        pictures=one.type_name == COMPRESSED_IMAGE,
     )
 
 
-def _frames(path: Path) -> Iterator[Frame]:
-    """The frames of the first image channel, read afresh from the file."""
+def _frames(path: Path, topic: str) -> Iterator[Frame]:
+    """The frames of one image channel, read afresh from the file."""
     schemas: dict[int, Schema] = {}
     chosen: int | None = None
     for record in read_records(path, []):
         if isinstance(record, Schema):
             schemas.setdefault(record.id, record)
-        elif isinstance(record, McapChannel) and chosen is None:
+        elif isinstance(record, McapChannel) and chosen is None and record.topic == topic:
             schema = schemas.get(record.schema_id)
             usable = ros2_cdr.why_not(record, schema) is None
             if usable and schema is not None and schema.name == COMPRESSED_IMAGE:
                 chosen = record.id
         elif isinstance(record, Message) and record.channel_id == chosen:
-            stamp_ns, encoding, data = ros2_cdr.decode_image(record.data)
+            try:
+                stamp_ns, encoding, data = ros2_cdr.decode_image(record.data)
+            except LogError:
+                continue
             yield Frame(stamp_ns or record.log_time, encoding, data)

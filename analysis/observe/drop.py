@@ -25,6 +25,7 @@ CANONICAL_SPAN = 4
 PAPER_RATE_HZ = 60.0
 PAPER_SAMPLES = 400
 PAPER_RADIUS_M = 0.5
+_PAPER_UNIT_M = 5.0
 
 
 def canonical_axis() -> Array:
@@ -77,7 +78,7 @@ def paper_heights(drop: Drop) -> Observation:
     z is that of a ball of 0.5 m radius on a plane at z = 0. A recording that ends with the ball at
     rest goes on with it at rest; else what is missing is NaN.
     """
-    wanted = paper_start_s(drop) + _paper_axis()
+    wanted = paper_start_s(drop) + paper_axis()
     values = resample(drop.seconds, drop.heights_m - drop.table_m, wanted)
     if not np.isnan(drop.rest_m):
         values[wanted > drop.seconds[-1]] = 0.0
@@ -103,12 +104,19 @@ def paper_rollout(episode: Episode) -> Observation:
     return _paper_observation(episode.signals[TOPIC].values[:, 2])
 
 
-def _paper_axis() -> Array:
+def paper_unit_heights(episode: Episode) -> Observation:
+    """The paper's rollout for a network that sees a video beside it: z from 0 to about 1 [5 m]."""
+    heights = episode.signals[TOPIC].values[:, 2] / _PAPER_UNIT_M
+    return Observation(heights[:, None].copy(), paper_axis(), "time [s]", ("z [5 m]",))
+
+
+def paper_axis() -> Array:
+    """Times of the paper's samples after the start [s], shape (400,)."""
     return np.arange(1, PAPER_SAMPLES + 1) / PAPER_RATE_HZ
 
 
 def _paper_observation(heights_m: Array) -> Observation:
-    return Observation(heights_m[:, None].copy(), _paper_axis(), "time [s]", ("z [m]",))
+    return Observation(heights_m[:, None].copy(), paper_axis(), "time [s]", ("z [m]",))
 
 
 def _between_impacts(places: Array, heights: Array, wanted: Array) -> Array:

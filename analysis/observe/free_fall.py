@@ -108,7 +108,7 @@ def find_drops(seconds: Array, heights_m: Array) -> list[Drop]:
     """
     if len(seconds) < _MIN_SAMPLES:
         raise NotFoundError(f"{len(seconds)} samples of the ball are too few for a drop")
-    noise = _noise(heights_m)
+    noise = noise_of(heights_m)
     span = float(np.ptp(heights_m))
     if span < max(MIN_DROP_M, 20 * noise):
         raise NotFoundError(f"the ball does not fall: it moves by {1000 * span:.1f} mm in all")
@@ -116,7 +116,7 @@ def find_drops(seconds: Array, heights_m: Array) -> list[Drop]:
     odd: list[Drop] = []
     reasons: list[str] = []
     end = 0
-    for index in _impact_candidates(seconds, heights_m):
+    for index in impact_candidates(seconds, heights_m):
         if index < end:
             continue
         try:
@@ -134,12 +134,12 @@ def find_drops(seconds: Array, heights_m: Array) -> list[Drop]:
     return drops or odd[:1]
 
 
-def _noise(heights: Array) -> float:
-    """Robust noise [m] from third differences, which a parabola does not have."""
+def noise_of(heights: Array) -> float:
+    """Robust noise from third differences, which a parabola does not have; in the heights' unit."""
     return float(np.median(np.abs(np.diff(heights, 3)))) / (0.6745 * np.sqrt(20.0))
 
 
-def _impact_candidates(seconds: Array, heights: Array) -> list[int]:
+def impact_candidates(seconds: Array, heights: Array) -> list[int]:
     """Samples at which a fast fall ends within a sample or two, in order."""
     width = max(2, round(_SLOPE_WINDOW_S / float(np.median(np.diff(seconds)))))
     if len(heights) <= 2 * width:
@@ -173,7 +173,7 @@ def _fit(seconds: Array, heights: Array, start: int, index: int, noise: float) -
     """The drop that first hits the table near sample `index`, and the sample where it ends."""
     clock = seconds - seconds[index]
     lately = heights[max(start, int(np.searchsorted(clock, -_NOISE_WINDOW_S))) : index]
-    noise = max(noise, _noise(lately)) if len(lately) >= _MIN_SAMPLES else noise
+    noise = max(noise, noise_of(lately)) if len(lately) >= _MIN_SAMPLES else noise
     fall = fall_samples(clock, heights, start, index, noise)
     parabola = fit_parabola(clock, heights, fall)
     flight = flight_samples(clock, heights, index, parabola, noise)

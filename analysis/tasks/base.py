@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from analysis.estimators.base import Problem, Step
 from analysis.observe.quality import Check
+from analysis.observe.tracking.track import Hints
 from analysis.tunenet.checkpoint import Purpose
 from analysis.tunenet.network import Network
 from analysis.tunenet.pairs import PairSet
@@ -24,11 +25,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Selection:
-    """Which part of a log to look at: a topic, and seconds from the log's first sample on."""
+    """Which part of a log to look at: a topic, and seconds from the log's first sample on.
+
+    Attributes:
+        hints: where the ball is in a picture, for those who know.
+    """
 
     topic: str | None = None
     start_s: float | None = None
     end_s: float | None = None
+    hints: Hints = Hints()
 
 
 @dataclass(frozen=True)
@@ -64,7 +70,16 @@ class Task(Protocol):
 
     @property
     def name(self) -> str:
-        """What logs and commands call it."""
+        """What `tunenet-train` and weights call it."""
+        ...
+
+    @property
+    def kind(self) -> str:
+        """What logs, results and `tunenet-tune` call it: one kind may be observed in two ways."""
+        ...
+
+    def fits(self, episode: Episode, topic: str | None) -> bool:
+        """Whether the episode holds what this task looks at, in the topic if one is named."""
         ...
 
     @property

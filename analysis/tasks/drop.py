@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +15,10 @@ from analysis.observe.quality import Check, fall_checks, fit_check, recording_ch
 from analysis.observe.strays import strays
 from analysis.tasks.base import CrossCheck, Preset, Selection
 from analysis.tasks.drop_presets import PAPER_HEIGHT_M, PRESETS
-from recorders.simulators.contact import CALIBRATED, PAPER, ContactSettings
-from recorders.simulators.drop import RESTITUTION, TOPIC, DropRig, DropSimulator
+from analysis.tasks.found_drop import FoundDrop, drop_problem
+from recorders.simulators.drop import RESTITUTION, TOPIC
 from tunenet_logs.episode import Episode, Signal
-from tunenet_logs.errors import NotFoundError, UsageError
+from tunenet_logs.errors import NotFoundError
 
 Array = NDArray[np.float64]
 
@@ -31,42 +29,18 @@ _PAPER_FIT = 0.03
 _FARTHEST_M = 1e6
 
 
-@dataclass(frozen=True, eq=False)
-class FoundDrop:
-    """A drop in an episode, as one preset looks at it.
-
-    Attributes:
-        topic: where the ball's position came from.
-        drop: with heights along `up`.
-        signal: the selected part of that signal.
-        start_ns: where the drop's clock is 0: the first sample of the log's signal.
-        sideways_m: horizontal positions in the drop's window [m], shape (T, 2).
-        target: o_T.
-        warnings: what a user should know, in words.
-    """
-
-    preset: str
-    topic: str
-    drop: Drop
-    signal: Signal
-    start_ns: int
-    sideways_m: Array
-    target: Observation
-    warnings: tuple[str, ...]
-
-    @property
-    def step_hz(self) -> float:
-        """The simulator's steps a second (and one more at each impact, by default)."""
-        if not PRESETS[self.preset].physical:
-            return views.PAPER_RATE_HZ
-        return 1 / float(np.median(np.diff(self.drop.seconds)))
-
-
 class DropTask:
     """See `Task`."""
 
     name = "drop"
+    kind = "drop"
     parameters = (RESTITUTION,)
+
+    def fits(self, episode: Episode, topic: str | None) -> bool:
+        """Whether there are positions in it; see `Task.fits`."""
+        if topic is not None:
+            return topic in episode.signals
+        return any(one.columns == ("x", "y", "z") for one in episode.signals.values())
 
     @property
     def presets(self) -> Mapping[str, Preset]:
@@ -84,22 +58,14 @@ class DropTask:
         raise NotFoundError(reasons[0])
 
     def problem(self, found: FoundDrop, initial: Array) -> Problem:
-        """A simulator with the drop's own height, rate and release; see `Task.problem`."""
-        try:
-            rig, contact = _rig_like(found)
-        except UsageError as error:  # the user chose nothing here: the log asks for it
-            raise NotFoundError(f"this drop cannot be simulated: {error}") from error
-        simulator = DropSimulator(rig, contact)
-        if contact == PAPER:
-            return Problem(found.target, simulator, views.paper_rollout, initial)
-        observe = partial(_observe_rollout, rig=rig, contact=contact)
-        return Problem(found.target, simulator, observe, initial)
+        """See `Task.problem`."""
+        return drop_problem(found, initial)
 
     def checks(self, found: FoundDrop, last: Step) -> tuple[Check, ...]:
         """See `Task.checks`."""
         assert last.look is not None
         checks = recording_checks(found.drop, found.sideways_m)
-        physical = PRESETS[found.preset].physical
+        physical = found.physical
         if physical:  # the paper's simulator has a drag of its own
             checks += fall_checks(found.drop, float(last.values[0]))
         height_m, noise_m = found.drop.drop_height_m, found.drop.noise_m
@@ -111,7 +77,7 @@ class DropTask:
     def cross_check(self, found: FoundDrop, estimate: Array) -> CrossCheck | None:
         """The speeds just after and just before the impact, by the parabolas on either side."""
         value = found.drop.flight_restitution
-        if np.isnan(value) or not PRESETS[found.preset].physical:
+        if np.isnan(value) or not found.physical:
             return None
         margin = _AGREEMENT + 3 * found.drop.flight_restitution_sd
         agrees = bool(abs(value - estimate[0]) < margin)
@@ -161,10 +127,9 @@ def _find_in(signal: Signal, start_ns: int, preset: str) -> FoundDrop:
     if not PRESETS[preset].physical:
         warnings += _paper_warnings(drop, target)
     return FoundDrop(
-        preset=preset,
+        physical=PRESETS[preset].physical,
         topic=signal.name,
         drop=drop,
-        signal=signal,
         start_ns=start_ns,
         sideways_m=np.delete(signal.values, column, axis=1)[window],
         target=target,
@@ -208,34 +173,6 @@ def _paper_warnings(drop: Drop, target: Observation) -> list[str]:
         f"a drop from {height:.2f} m (ball of 0.5 m radius) is outside the {low:g} to {high:g} m "
         "that the paper's network was trained on"
     ]
-
-
-def _rig_like(found: FoundDrop) -> tuple[DropRig, ContactSettings]:
-    """The rig whose rollouts show the same drop at the same stamps."""
-    drop = found.drop
-    if not PRESETS[found.preset].physical:
-        gap = drop.release_m - drop.table_m
-        start_ns = found.start_ns + round(1e9 * views.paper_start_s(drop))
-        return DropRig(gap, views.PAPER_RADIUS_M, views.PAPER_RATE_HZ, start_ns=start_ns), PAPER
-    period_s = float(np.median(np.diff(drop.seconds)))
-    fall_s = float(np.sqrt(2 * drop.drop_height_m / CALIBRATED.gravity_m_s2))
-    hold_s = drop.impact_s - fall_s - drop.seconds[0]
-    earlier = max(0, int(np.ceil(-hold_s / period_s)))
-    wanted_s = drop.impact_s + (views.CANONICAL_SPAN + 1) * drop.fall_time_s
-    last_s = max(float(drop.seconds[-1]), wanted_s)
-    first_s = drop.seconds[0] - earlier * period_s
-    rig = DropRig(
-        gap_m=drop.drop_height_m,
-        rate_hz=1 / period_s,
-        samples=int(np.ceil((last_s - first_s) / period_s)) + 1,
-        hold_s=hold_s + earlier * period_s,
-        start_ns=found.start_ns + round(1e9 * first_s),
-    )
-    return rig, CALIBRATED
-
-
-def _observe_rollout(episode: Episode, rig: DropRig, contact: ContactSettings) -> Observation:
-    return views.canonical(views.rollout_drop(episode, rig, contact))
 
 
 _VIEWS: dict[str, Callable[[Drop], Observation]] = {

@@ -24,7 +24,7 @@ Plan = tuple[DropRig, ContactSettings, float]
 PAPER_HEIGHT_M = (4.0, 5.0)
 """Of the ball's centre, in the paper's training data."""
 
-_PAPER_RESTITUTION = (0.3, 0.7)
+PAPER_RESTITUTION = (0.3, 0.7)
 _PAPER_PAIRS = 800
 _GAP_M = (0.3, 5.0)
 _RATES_HZ = (60.0, 120.0, 240.0)
@@ -51,7 +51,7 @@ def _paper_pairs(count: int | None, seed: int, jobs: int | None, progress: Progr
     count = count or _PAPER_PAIRS
     rng = np.random.default_rng(seed)
     heights = np.repeat(rng.uniform(*PAPER_HEIGHT_M, count), 2)
-    values = rng.uniform(*_PAPER_RESTITUTION, 2 * count)
+    values = rng.uniform(*PAPER_RESTITUTION, 2 * count)
     radius = views.PAPER_RADIUS_M
     plans = [
         (DropRig(float(height) - radius, radius, views.PAPER_RATE_HZ), PAPER, float(value))
@@ -117,7 +117,7 @@ _OURS = Preset(
     physical=True,
 )
 
-_PAPERS_TEXT = Recipe(
+PAPERS_TEXT = Recipe(
     optimizer="sgd",
     learning_rate=1e-2,
     decay=0.99,
@@ -129,7 +129,7 @@ _PAPERS_TEXT = Recipe(
     batch=50,
 )
 
-_PAPERS_CODE = Recipe(
+PAPERS_CODE = Recipe(
     optimizer="sgd",
     learning_rate=1e-1,
     decay=0.99,
@@ -143,6 +143,6 @@ _PAPERS_CODE = Recipe(
 
 PRESETS = {
     "default": _OURS,
-    "paper": _paper_preset("paper", _PAPERS_TEXT),
-    "paper-code": _paper_preset("paper-code", _PAPERS_CODE),
+    "paper": _paper_preset("paper", PAPERS_TEXT),
+    "paper-code": _paper_preset("paper-code", PAPERS_CODE),
 }

@@ -90,3 +90,28 @@ def mixed_pairs(
     near = np.clip(proposed + reach.astype(int), 0, len(values) - 1)
     target = np.where(rng.random(count) < 0.5, near, anywhere)
     return order[proposed], order[target]
+
+
+def cross_pairs(
+    values: Array,
+    proposed: NDArray[np.intp],
+    target: NDArray[np.intp],
+    count: int,
+    rng: np.random.Generator,
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """As `mixed_pairs`, o_P from some rollouts and o_T from others.
+
+    Args:
+        values: one parameter of the N rollouts, shape (N,).
+        proposed: which of them may be o_P.
+        target: which may be o_T.
+        count: pairs wanted.
+        rng: where they are drawn from.
+    """
+    order = proposed[np.argsort(values[proposed])]
+    targets = target[rng.integers(len(target), size=count)]
+    anywhere = rng.integers(len(order), size=count)
+    reach = 0.1 * rng.random(count) * rng.standard_normal(count)
+    wanted = np.searchsorted(values[order], values[targets] + reach)
+    near = np.clip(wanted, 0, len(order) - 1)
+    return order[np.where(rng.random(count) < 0.5, near, anywhere)], targets

@@ -100,7 +100,7 @@ def random_camera(
     """The paper's random camera, in drop heights, so that it fits a drop of any height.
 
     The paper draws r ~ U(5, 10) m, theta ~ U(0, 2 pi), z ~ U(5, 8) m and aims at (0, 0, 2) m for
-    drops from about 4.5 m. Cameras that do not have the whole drop in their picture are drawn again.
+    drops from about 4.5 m. A camera that does not see the whole drop is drawn again.
 
     Args:
         rng: where it is drawn from.

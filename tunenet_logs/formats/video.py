@@ -21,6 +21,9 @@ from tunenet_logs.images import MAX_PIXELS
 if TYPE_CHECKING:
     from av.container import InputContainer
 
+VIDEO_TOPIC = "video"
+"""What the pictures of a video file go by."""
+
 _CONTAINERS = "mov,matroska,avi,mpeg,mpegts,flv,ogg,asf,mjpeg,h264,hevc,m4v,gif,apng,ivf,nut,y4m"
 """Only what holds pictures itself: a playlist could name any other file or host."""
 
@@ -146,12 +149,13 @@ def read_video(path: Path) -> Episode:
     """
     video = open_video(path)
     channel = Channel(
-        topic="video",
+        topic=VIDEO_TOPIC,
         type_name=video.codec,
         encoding="video",
         messages=len(video.stamps_ns),
         first_ns=int(video.stamps_ns[0]),
         last_ns=int(video.stamps_ns[-1]),
+        pictures=True,
     )
     info = EpisodeInfo(source=f"video file {path.name}", notes=video_notes(video))
     return Episode(info, {}, (channel,), video.warnings, partial(_frames_of, video))
@@ -167,7 +171,7 @@ def video_notes(video: Video) -> dict[str, str]:
     return notes
 
 
-def _frames_of(video: Video) -> Iterator[Frame]:
+def _frames_of(video: Video, _topic: str) -> Iterator[Frame]:
     return video.frames()
 
 

@@ -21,12 +21,14 @@ class Pictures:
 
     Attributes:
         stamps_ns: of the pictures, shape (T,), strictly increasing.
+        start_ns: stamp of the topic's first picture, selected or not.
         size_px: (width, height) before reduction.
         scale: by which they are reduced, a whole number.
         damaged: pictures that could not be decoded and are left out.
 
     Args:
         episode: with frames.
+        topic: which of its picture topics.
         start_s: leave out what comes before, in seconds since the first frame.
         end_s: leave out what comes after.
 
@@ -35,11 +37,17 @@ class Pictures:
     """
 
     def __init__(
-        self, episode: Episode, start_s: float | None = None, end_s: float | None = None
+        self,
+        episode: Episode,
+        topic: str,
+        start_s: float | None = None,
+        end_s: float | None = None,
     ) -> None:
         self._episode = episode
+        self._topic = topic
         self._start_s = start_s
         self._end_s = end_s
+        self.start_ns = 0
         self.size_px = (0, 0)
         self.scale = 1
         self.damaged = 0
@@ -97,10 +105,10 @@ class Pictures:
         return x / self.scale, y / self.scale, at_s
 
     def _selected(self) -> Iterator[tuple[int, Frame]]:
-        first_ns: int | None = None
-        for index, frame in enumerate(self._episode.frames()):
-            first_ns = frame.stamp_ns if first_ns is None else first_ns
-            since_s = (frame.stamp_ns - first_ns) * 1e-9
+        for index, frame in enumerate(self._episode.frames(self._topic)):
+            if index == 0:
+                self.start_ns = frame.stamp_ns
+            since_s = (frame.stamp_ns - self.start_ns) * 1e-9
             if self._start_s is not None and since_s < self._start_s:
                 continue
             if self._end_s is not None and since_s > self._end_s:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from analysis.observe.tracking.arcs import Arc, Candidates, longest_arc, tabulate
 from analysis.observe.tracking.background import (
-    Background,
     sampled,
     still_background,
     without_ball,

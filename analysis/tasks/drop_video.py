@@ -1,0 +1,134 @@
+"""The filmed drop: a ball's coefficient of restitution from an uncalibrated video."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.estimators.base import Problem, Step
+from analysis.observe import drop as views
+from analysis.observe.film import FilmedDrop, find_filmed_drop, image_rows
+from analysis.observe.film_quality import film_checks, scale_checks
+from analysis.observe.quality import Check, fit_check, recording_checks
+from analysis.observe.tracking.pictures import Pictures
+from analysis.observe.tracking.track import Hints, track_ball
+from analysis.tasks.base import CrossCheck, Preset, Selection
+from analysis.tasks.drop_video_presets import PRESETS
+from analysis.tasks.found_drop import FoundDrop, drop_problem
+from recorders.simulators.drop import RESTITUTION
+from tunenet_logs.episode import Episode, EpisodeInfo
+from tunenet_logs.errors import NotFoundError
+
+Array = NDArray[np.float64]
+
+_AGREEMENT = 0.03
+_FIT = 0.015
+
+
+class DropVideoTask:
+    """See `Task`."""
+
+    name = "drop-video"
+    kind = "drop"
+    parameters = (RESTITUTION,)
+
+    def fits(self, episode: Episode, topic: str | None) -> bool:
+        """Whether there are pictures in it; see `Task.fits`."""
+        topics = episode.picture_topics
+        return bool(topics) if topic is None else topic in topics
+
+    @property
+    def presets(self) -> Mapping[str, Preset]:
+        """See `Task.presets`."""
+        return PRESETS
+
+    def find(self, episode: Episode, selection: Selection, preset: str) -> FoundDrop:
+        """The first drop that the pictures show; see `Task.find`."""
+        topic = selection.topic or episode.picture_topics[0]
+        pictures = Pictures(episode, topic, selection.start_s, selection.end_s)
+        hints = selection.hints
+        if hints == Hints():
+            hints = _marked(episode.info, pictures)
+        track = track_ball(pictures, hints)
+        film = find_filmed_drop(track, pictures.start_ns)
+        physical = PRESETS[preset].physical
+        target = views.canonical(film.drop) if physical else _paper_target(film)
+        warnings, rig = [], episode.info.rig
+        if pictures.damaged:
+            warnings.append(f"{pictures.damaged} damaged pictures were left out")
+        if not physical:
+            warnings.append(_paper_warning(film))
+        return FoundDrop(
+            physical=physical,
+            topic=topic,
+            drop=film.drop,
+            start_ns=pictures.start_ns,
+            sideways_m=film.sideways[:, None] * film.drop.drop_height_m,
+            target=target,
+            warnings=tuple(warnings),
+            film=film,
+            known_m=(rig.get("ball_diameter_m"), rig.get("drop_height_m")),
+        )
+
+    def problem(self, found: FoundDrop, initial: Array) -> Problem:
+        """See `Task.problem`."""
+        return drop_problem(found, initial)
+
+    def checks(self, found: FoundDrop, last: Step) -> tuple[Check, ...]:
+        """See `Task.checks`."""
+        assert last.look is not None
+        assert found.film is not None
+        checks = recording_checks(found.drop, found.sideways_m)
+        checks += film_checks(found.film, float(last.values[0]))
+        checks += scale_checks(found.film, *found.known_m)
+        if not found.physical:  # z and y are not to be compared
+            return tuple(checks)
+        most = _FIT + 2 * found.film.projection.residual_px / found.film.projection.span_px
+        return (*checks, fit_check(last.look.observation, found.target, 1.0, most))
+
+    def cross_check(self, found: FoundDrop, estimate: Array) -> CrossCheck | None:
+        """How much shorter the second flight is than the first, which no projection changes."""
+        assert found.film is not None
+        projection = found.film.projection
+        if not found.physical:
+            return None
+        last_s = float(projection.fall_times(found.drop.seconds[-1:])[0])
+        if len(projection.impacts) > 2 and last_s > projection.impacts[2]:
+            flights = np.diff(projection.impacts)
+            value, method = float(flights[1] / flights[0]), "durations of the first two flights"
+            margin = 2 * _AGREEMENT + 3 * projection.flight_ratio_sd
+        else:
+            value, method = projection.first_flight, "duration of the first flight"
+            margin = _AGREEMENT + 3 * projection.flight_ratio_sd
+        return CrossCheck(method, value, bool(abs(value - estimate[0]) < margin))
+
+
+def _marked(info: EpisodeInfo, pictures: Pictures) -> Hints:
+    """The ball as it was marked in the preview of the recording, if it was."""
+    try:
+        x, y = (float(part) for part in info.notes.get("ball_at_px", "").split(","))
+        at_s = (int(info.notes["ball_at_stamp_ns"]) - int(pictures.stamps_ns[0])) * 1e-9
+    except (ValueError, KeyError):
+        return Hints()
+    wide, tall = pictures.size_px
+    inside = 0 <= x < wide and 0 <= y < tall and np.isfinite(at_s)
+    return Hints(ball_at=(x, y, at_s)) if inside else Hints()
+
+
+def _paper_target(film: FilmedDrop) -> views.Observation:
+    target = image_rows(film, views.paper_start_s(film.drop))
+    if np.isnan(target.values).any():
+        raise NotFoundError(
+            "the paper's network needs 400 samples at 60 Hz: record 6.7 s from the release on, "
+            "or use --preset default"
+        )
+    return target
+
+
+def _paper_warning(film: FilmedDrop) -> str:
+    return (
+        f"a fall of {film.drop.drop_height_m:.2f} m by this camera; the paper's network was trained "
+        "on a ball of 0.5 m radius falling from 4 to 5 m, before the paper's cameras"
+    )

@@ -1,0 +1,192 @@
+"""The filmed drop's presets: what a network sees of a simulation and of a video, and its training."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.observe import drop as views
+from analysis.observe.film import find_filmed_drop
+from analysis.observe.tracking.projected import projected_track
+from analysis.tasks.base import Preset
+from analysis.tasks.drop_presets import PAPER_HEIGHT_M, PAPER_RESTITUTION, PAPERS_TEXT
+from analysis.tunenet.checkpoint import Purpose
+from analysis.tunenet.network import AntisymmetricNetwork, PaperNetwork
+from analysis.tunenet.pairs import PairSet, consecutive_pairs, cross_pairs, observe_all
+from analysis.tunenet.training import Recipe
+from recorders.simulators.contact import CALIBRATED, PAPER
+from recorders.simulators.drop import RESTITUTION, DropRig, DropSimulator
+from recorders.simulators.pinhole import PinholeCamera, random_camera
+from tunenet_logs.errors import NotFoundError
+from tunenet_logs.progress import Progress
+
+Array = NDArray[np.float64]
+
+PAPER_SIZE_PX = (100, 100)
+_PAPER_FOV_DEG = 60.0
+_PAPER_NOISE_PX = 0.2
+_PAPER_PAIRS = 800
+
+_RATES_HZ = (30.0, 60.0, 120.0, 240.0)
+_GAP_M = (0.2, 2.5)
+_RADIUS_M = 0.03
+_SIZES_PX = ((320, 240), (640, 480), (240, 320))
+_FOV_DEG = (30.0, 75.0)
+_NOISE_PX = (0.03, 0.6)
+_LOST_SHARE = 0.1
+_SIMULATED = 1024
+_FILMED = 2048
+_PAIRS = 51_200
+
+
+@dataclass(frozen=True)
+class FilmPlan:
+    """A drop to simulate and look at: as the simulator knows it (no seed), or filmed."""
+
+    rig: DropRig
+    restitution: float
+    seed: int | None = None
+
+
+def _observe_plans(plans: Sequence[FilmPlan]) -> Array:
+    """Canonical observations, shape (N, L, 1), NaN for a film that shows no drop."""
+    curves: list[Array] = []
+    simulator = DropSimulator(plans[0].rig, CALIBRATED)
+    for plan in plans:
+        simulator = simulator.with_rig(plan.rig)
+        episode = simulator.rollout({RESTITUTION.name: plan.restitution})
+        if plan.seed is None:
+            curves.append(views.canonical(views.rollout_drop(episode, plan.rig, CALIBRATED)).values)
+            continue
+        rng = np.random.default_rng(plan.seed)
+        size, fov = _SIZES_PX[rng.integers(len(_SIZES_PX))], float(rng.uniform(*_FOV_DEG))
+        camera = random_camera(rng, plan.rig.gap_m, plan.rig.radius_m, size, max(fov, 50.0))
+        noise_px = float(np.exp(rng.uniform(*np.log(_NOISE_PX))))
+        track = projected_track(episode, camera, noise_px, rng.random() * _LOST_SHARE, rng)
+        try:
+            drop = find_filmed_drop(track, plan.rig.start_ns).drop
+            curves.append(views.canonical(drop).values)
+        except NotFoundError:
+            curves.append(np.full((len(views.canonical_axis()), 1), np.nan))
+    return np.array(curves)
+
+
+def _canonical_pairs(count: int | None, seed: int, jobs: int | None, progress: Progress) -> PairSet:
+    """Simulated curves against filmed ones; restitutions evenly over their range in both."""
+    count = count or _PAIRS
+    rng = np.random.default_rng([seed, 1])
+    plans: list[FilmPlan] = []
+    for rows, filmed in ((min(_SIMULATED, count), False), (min(_FILMED, count), True)):
+        low, high = RESTITUTION.training_range
+        for index in range(rows):
+            value = low + (high - low) * (index + rng.random()) / rows
+            rig = _rig(rng)
+            plans.append(FilmPlan(rig, float(value), int(rng.integers(2**62)) if filmed else None))
+    order = rng.permutation(len(plans))  # filmed ones take longer: spread them over the processes
+    observations = np.empty((len(plans), len(views.canonical_axis()), 1))
+    observations[order] = observe_all(_observe_plans, [plans[one] for one in order], jobs, progress)
+    values = np.array([plan.restitution for plan in plans])
+    filmed = np.array([plan.seed is not None for plan in plans])
+    shown = np.isfinite(observations).any(axis=(1, 2))
+    simulated, films = np.flatnonzero(~filmed), np.flatnonzero(filmed & shown)
+    return PairSet(
+        observations, values[:, None], *cross_pairs(values, simulated, films, count, rng)
+    )
+
+
+def _rig(rng: np.random.Generator) -> DropRig:
+    gap, rate = float(rng.uniform(*_GAP_M)), float(rng.choice(_RATES_HZ))
+    fall_s = float(np.sqrt(2 * gap / CALIBRATED.gravity_m_s2))
+    hold_s = float(rng.uniform(0.0, 0.5))
+    span = float(rng.uniform(views.CANONICAL_SPAN, 2 * views.CANONICAL_SPAN))
+    samples = int(np.ceil((hold_s + (span + 1) * fall_s) * rate)) + 3
+    return DropRig(gap, _RADIUS_M, rate, samples, hold_s)
+
+
+def _observe_paper_plans(plans: Sequence[FilmPlan]) -> Array:
+    """Z of a simulation, or the image's y of a filmed one; shape (N, 400, 1)."""
+    curves: list[Array] = []
+    simulator = DropSimulator(plans[0].rig, PAPER)
+    for plan in plans:
+        simulator = simulator.with_rig(plan.rig)
+        episode = simulator.rollout({RESTITUTION.name: plan.restitution})
+        if plan.seed is None:
+            curves.append(views.paper_unit_heights(episode).values)
+            continue
+        rng = np.random.default_rng(plan.seed)
+        camera = _paper_camera(rng)
+        track = projected_track(episode, camera, _PAPER_NOISE_PX, 0.0, rng)
+        rows = track.places_px[:, 1]
+        known = np.isfinite(rows)
+        numbers = np.arange(len(rows))
+        curves.append(np.interp(numbers, numbers[known], rows[known])[:, None] / camera.size_px[1])
+    return np.array(curves)
+
+
+def _paper_camera(rng: np.random.Generator) -> PinholeCamera:
+    """As the paper draws it; at 60 degrees hardly any drop leaves the picture."""
+    distance, angle = rng.uniform(5.0, 10.0), rng.uniform(0.0, 2 * np.pi)
+    place = (distance * np.cos(angle), distance * np.sin(angle), rng.uniform(5.0, 8.0))
+    return PinholeCamera(place, (0.0, 0.0, 2.0), PAPER_SIZE_PX, _PAPER_FOV_DEG)
+
+
+def _paper_pairs(count: int | None, seed: int, jobs: int | None, progress: Progress) -> PairSet:
+    """Both rollouts of a pair from one height; the second one is filmed."""
+    count = count or _PAPER_PAIRS
+    rng = np.random.default_rng(seed)
+    plans: list[FilmPlan] = []
+    for _ in range(count):
+        height, radius = float(rng.uniform(*PAPER_HEIGHT_M)), views.PAPER_RADIUS_M
+        rig = DropRig(height - radius, radius, views.PAPER_RATE_HZ)
+        plans.append(FilmPlan(rig, float(rng.uniform(*PAPER_RESTITUTION))))
+        value, camera = float(rng.uniform(*PAPER_RESTITUTION)), int(rng.integers(2**62))
+        plans.append(FilmPlan(rig, value, camera))
+    observations = observe_all(_observe_paper_plans, plans, jobs, progress)
+    values = np.array([[plan.restitution] for plan in plans])
+    return PairSet(observations, values, *consecutive_pairs(count))
+
+
+PRESETS = {
+    "default": Preset(
+        Purpose(
+            task="drop-video",
+            preset="default",
+            observation="height after impact by a fitted projection, 32 places a fall time, "
+            "4 fall times",
+            inputs=len(views.canonical_axis()),
+            outputs=1,
+            rates_hz=_RATES_HZ,
+        ),
+        AntisymmetricNetwork(),
+        Recipe(
+            optimizer="adamw",
+            learning_rate=3e-3,
+            weight_decay=0.01,
+            loss="relative",
+            scaling="standard",
+            epochs=20,
+            batch=256,
+            cut_share=0.2,
+        ),
+        _canonical_pairs,
+        physical=True,
+    ),
+    "paper": Preset(
+        Purpose(
+            task="drop-video",
+            preset="paper",
+            observation="z [5 m] of the simulation, y of the picture from 0 to 1, 400 samples at "
+            "60 Hz from the release",
+            inputs=views.PAPER_SAMPLES,
+            outputs=1,
+            rates_hz=(views.PAPER_RATE_HZ,),
+        ),
+        PaperNetwork(),
+        PAPERS_TEXT,
+        _paper_pairs,
+        physical=False,
+    ),
+}
