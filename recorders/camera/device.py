@@ -38,11 +38,13 @@ class CameraDevice:
             raise CameraError(f"{path}: no such camera; {_those_there_are()}")
         import cv2
 
-        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # it would print its own lines beside ours
+        cv2.utils.logging.setLogLevel(
+            cv2.utils.logging.LOG_LEVEL_SILENT
+        )  # it would print its own lines beside ours
         self._capture = cv2.VideoCapture(str(path), cv2.CAP_V4L2)
         if not self._capture.isOpened():
             raise CameraError(
-                f"{path}: cannot be opened as a camera; does another program have it? "
+                f"{path}: cannot be opened as a camera, or another program has it; "
                 + _those_there_are()
             )
         apply(settings, self._capture)
