@@ -48,7 +48,10 @@ class CameraDevice:
                 + _those_there_are()
             )
         apply(settings, self._capture)
-        self._capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)
+        self._notes = in_words(settings, self._capture)
+        # Else OpenCV would decode the camera's JPEGs, only for them to be compressed again.
+        self._makes_jpegs = self._notes["format"] in ("MJPG", "JPEG")
+        self._capture.set(cv2.CAP_PROP_CONVERT_RGB, 0 if self._makes_jpegs else 1)
         self.name = f"camera {path}"
         self.ended = ""
         self.damaged = 0
@@ -56,7 +59,6 @@ class CameraDevice:
         self._closed = False
         self._reading = False
         self._has_driver_stamps: bool | None = None
-        self._notes = in_words(settings, self._capture)
 
     def notes(self) -> dict[str, str]:
         """What was asked of the camera and what it accepted; how its frames are stamped."""
@@ -98,17 +100,12 @@ class CameraDevice:
             self._capture.release()
 
     def _jpeg(self, picture: np.ndarray) -> bytes | None:
-        """A frame as a JPEG; None where it is damaged, or in a format that is yet to be turned."""
-        import cv2
-
-        if picture.ndim == 3 and picture.shape[2] == 3:
+        """A frame as a JPEG; None where it is damaged."""
+        is_decoded = picture.ndim == 3 and picture.shape[2] == 3
+        if is_decoded or not self._makes_jpegs:
             return from_bgr(picture)
         data = picture.tobytes().rstrip(b"\0")  # the rest of the driver's buffer
-        if data.startswith(b"\xff\xd8"):
-            return data if is_whole(data) else None
-        # The camera makes no JPEG: let OpenCV turn its own format into pixels from here on.
-        self._capture.set(cv2.CAP_PROP_CONVERT_RGB, 1)
-        return None
+        return data if is_whole(data) else None
 
 
 def _those_there_are() -> str:
