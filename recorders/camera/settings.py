@@ -66,8 +66,8 @@ def in_words(settings: Settings, capture: cv2.VideoCapture) -> dict[str, str]:
     is_manual = get(cv2.CAP_PROP_AUTO_EXPOSURE) == _MANUAL_EXPOSURE
     exposure_ms = get(cv2.CAP_PROP_EXPOSURE) / _EXPOSURES_PER_MS
     asked_size = None if settings.size is None else f"{settings.size[0]}x{settings.size[1]}"
-    balance = _mode(get(cv2.CAP_PROP_AUTO_WB)) + f" {get(cv2.CAP_PROP_WB_TEMPERATURE):g}"
-    focus = _mode(get(cv2.CAP_PROP_AUTOFOCUS)) + f" {get(cv2.CAP_PROP_FOCUS):g}"
+    balance = _mode(get(cv2.CAP_PROP_AUTO_WB), get(cv2.CAP_PROP_WB_TEMPERATURE))
+    focus = _mode(get(cv2.CAP_PROP_AUTOFOCUS), get(cv2.CAP_PROP_FOCUS))
     return {
         "format": code.to_bytes(4, "little").decode("latin-1").strip("\0 "),
         "setting.size_px": _both(asked_size, f"{width:g}x{height:g}"),
@@ -80,11 +80,11 @@ def in_words(settings: Settings, capture: cv2.VideoCapture) -> dict[str, str]:
     }
 
 
-def _mode(automatic: float) -> str:
+def _mode(automatic: float, value: float) -> str:
     """OpenCV answers -1 where a camera has no such control."""
-    if automatic < 0:
+    if automatic < 0 and value < 0:
         return "fixed"
-    return "automatic" if automatic else "manual"
+    return f"{'automatic' if automatic > 0 else 'manual'} {value:g}"
 
 
 def _both(asked: float | str | None, accepted: str) -> str:
