@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,6 +20,9 @@ from tunenet_logs.errors import CameraError, LogError, TuneNetError
 from tunenet_logs.images import image_size
 from tunenet_logs.progress import Bar, Progress
 from tunenet_logs.writer import EpisodeWriter
+
+if TYPE_CHECKING:
+    from recorders.camera.preview import Preview
 
 TOPIC = "/camera/image_raw/compressed"
 _LOOK_SECONDS = 0.1
@@ -48,8 +52,11 @@ def record_camera(
     limits: Limits,
     overwrite: bool,
     progress: Progress,
+    preview: Preview | None = None,
 ) -> Summary:
     """Write a source's frames to a log until it ends, stalls, or is told to stop.
+
+    With a preview, from the moment on when that is told to record.
 
     Raises:
         CameraError: no frame came (no log is left), or the source failed (what came is kept).
@@ -62,10 +69,10 @@ def record_camera(
         EpisodeWriter(path, info, overwrite=overwrite, live=source.live) as writer,
         progress.bar(None, "recording", "frame") as bar,
     ):
-        reader = _Reader(source, limits)
+        reader = _Reader(source, limits, counts=preview is None)
         reader.start()
         try:
-            ended = _write_frames(reader, writer, stop, bar)
+            ended = _write_frames(reader, writer, stop, bar, preview)
         finally:
             reader.stop()
         queue = reader.queue
@@ -77,6 +84,9 @@ def record_camera(
             writer.note("measured_hz", f"{rate_hz:.3f}")
         for name, text in source.notes().items():
             writer.note(name, text)
+        if preview is not None and preview.click is not None:
+            writer.note("ball_at_px", f"{preview.click.x_px:.1f},{preview.click.y_px:.1f}")
+            writer.note("ball_at_stamp_ns", str(preview.click.stamp_ns))
         damaged = {"damaged": source.damaged} if source.damaged else {}
         writer.close(ended, captured=queue.captured, dropped=queue.dropped, **damaged)
     if reader.error is not None:
@@ -101,11 +111,11 @@ class _Reader(threading.Thread):
     A daemon: a camera that fell silent must not keep the process.
     """
 
-    def __init__(self, source: Source, limits: Limits) -> None:
+    def __init__(self, source: Source, limits: Limits, *, counts: bool) -> None:
         super().__init__(name="camera", daemon=True)
         self.source = source
         self.limits = limits
-        self.queue = FrameQueue(limits.queue_bytes, drops=source.live)
+        self.queue = FrameQueue(limits.queue_bytes, drops=source.live, counts=counts)
         self.error: TuneNetError | None = None
 
     def run(self) -> None:
@@ -123,11 +133,10 @@ class _Reader(threading.Thread):
 
     def _read(self) -> None:
         seconds = self.limits.seconds
-        first_ns = None
         with closing(self.source.frames()) as frames:  # type: ignore[type-var]
             for frame in frames:
-                first_ns = frame.stamp_ns if first_ns is None else first_ns
-                if seconds is not None and frame.stamp_ns - first_ns >= seconds * 1e9:
+                past_ns = self.queue.since_first_ns(frame.stamp_ns)
+                if seconds is not None and past_ns >= seconds * 1e9:
                     return
                 if not self.queue.put(frame):
                     return
@@ -139,28 +148,46 @@ class _Reader(threading.Thread):
         self.join(1.0)
 
 
-def _write_frames(reader: _Reader, writer: EpisodeWriter, stop: threading.Event, bar: Bar) -> str:
+def _write_frames(
+    reader: _Reader,
+    writer: EpisodeWriter,
+    stop: threading.Event,
+    bar: Bar,
+    preview: Preview | None,
+) -> str:
     """Write frames until there are no more; why there are none, "" at the end of the source."""
     queue, source, stall_s = reader.queue, reader.source, reader.limits.stall_s
+    is_recording = preview is None
     ended = ""
     heard = time.monotonic()
     while not queue.is_done:
-        if stop.is_set() and not ended:
-            ended = "stopped by a signal"
+        if preview is not None and preview.record.is_set() and not is_recording:
+            is_recording = True
+            queue.start()
+        if not ended and (ended := _told_to_stop(stop, preview)):
             queue.close()
         frame = queue.get(_LOOK_SECONDS)
         if frame is not None:
-            if not writer.written:
-                _note_size(writer, frame.data)
-            writer.write_frame(TOPIC, frame)
-            bar.set_postfix_str(f"{queue.dropped} dropped", refresh=False)
-            bar.update(1)
+            if is_recording:
+                if not writer.written:
+                    _note_size(writer, frame.data)
+                writer.write_frame(TOPIC, frame)
+                bar.set_postfix_str(f"{queue.dropped} dropped", refresh=False)
+                bar.update(1)
+            if preview is not None:
+                preview.show(frame, queue.dropped)
             heard = time.monotonic()
         elif source.live and not ended and time.monotonic() - heard > stall_s:
             ended = f"no frame for {stall_s:.1f} s"
             queue.close()
     failure = "" if reader.error is None else str(reader.error)
     return ended or source.ended or failure
+
+
+def _told_to_stop(stop: threading.Event, preview: Preview | None) -> str:
+    if stop.is_set():
+        return "stopped by a signal"
+    return "stopped on the page" if preview is not None and preview.stop.is_set() else ""
 
 
 def _note_size(writer: EpisodeWriter, data: bytes) -> None:
@@ -172,6 +199,8 @@ def _note_size(writer: EpisodeWriter, data: bytes) -> None:
 
 
 def _nothing_came(source: Source, ended: str) -> str:
+    if ended.startswith("stopped"):
+        return f"{source.name}: {ended} before a frame was recorded; no log is left"
     why = ended or "it holds none"
     damaged = f", {source.damaged} parts were no whole JPEG" if source.damaged else ""
     remedy = "try again with a longer --stall" if source.live else "is it whole?"

@@ -19,6 +19,7 @@ class FrameQueue:
     Args:
         limit_bytes: of all pictures that wait.
         drops: whether the newest frame is dropped when the queue is full; else `put` waits.
+        counts: whether frames count from the beginning; else from `start` on.
 
     Attributes:
         captured: frames that were put in, those dropped too.
@@ -26,12 +27,13 @@ class FrameQueue:
         stamps_ns: of all captured frames, strictly increasing.
     """
 
-    def __init__(self, limit_bytes: int, *, drops: bool) -> None:
+    def __init__(self, limit_bytes: int, *, drops: bool, counts: bool = True) -> None:
         self.captured = 0
         self.dropped = 0
         self.stamps_ns = array("q")
         self._limit_bytes = limit_bytes
         self._drops = drops
+        self._counts = counts
         self._frames: deque[Frame] = deque()
         self._held_bytes = 0
         self._closed = False
@@ -46,11 +48,12 @@ class FrameQueue:
                 return False
             if self.stamps_ns and frame.stamp_ns <= self.stamps_ns[-1]:  # both in one read
                 frame = replace(frame, stamp_ns=self.stamps_ns[-1] + 1)
-            self.captured += 1
-            self.stamps_ns.append(frame.stamp_ns)
-            if self._is_full(frame):
-                self.dropped += 1
-            else:
+            is_full = self._is_full(frame)
+            if self._counts:
+                self.captured += 1
+                self.dropped += is_full
+                self.stamps_ns.append(frame.stamp_ns)
+            if not is_full:
                 self._frames.append(frame)
                 self._held_bytes += len(frame.data)
                 self._changed.notify_all()
@@ -67,6 +70,19 @@ class FrameQueue:
             self._held_bytes -= len(frame.data)
             self._changed.notify_all()
             return frame
+
+    def start(self) -> None:
+        """Forget the frames inside, and count from here on."""
+        with self._changed:
+            self._frames.clear()
+            self._held_bytes = 0
+            self._counts = True
+            self._changed.notify_all()
+
+    def since_first_ns(self, stamp_ns: int) -> int:
+        """Time from the first frame that counted [ns]; 0 before that."""
+        with self._changed:
+            return stamp_ns - self.stamps_ns[0] if self.stamps_ns else 0
 
     def close(self) -> None:
         """Take no more frames; those inside can still be got."""

@@ -4,10 +4,18 @@ from __future__ import annotations
 
 import argparse
 import re
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tunenet_logs.commandline import number
+from tunenet_logs.errors import UsageError
 from tunenet_logs.progress import Progress
+
+if TYPE_CHECKING:
+    from recorders.camera.preview import Preview
 
 _SIZE = re.compile(r"([1-9]\d{0,4})[xX]([1-9]\d{0,4})")
 _LONGEST_NAME = 100
@@ -47,6 +55,12 @@ def camera_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
             type=number(0, 10_000),
             metavar="N",
             help="of a plugged-in camera, locked, in its own units (default: left alone)",
+        ),
+        add(
+            "--preview",
+            action="store_true",
+            default=None,
+            help="show a live camera on a page of this machine, and record from there on",
         ),
         add("--ball", type=_name, metavar="NAME", help="which ball it is, for the log"),
         add(
@@ -97,15 +111,34 @@ def record_camera_as_asked(arguments: argparse.Namespace, path: Path) -> str:
     source = open_source(
         arguments.camera, settings=settings, filmed_hz=arguments.fps, timeout_s=limits.stall_s
     )
-    summary = record_camera(
-        source,
-        info,
-        path,
-        limits=limits,
-        overwrite=arguments.overwrite,
-        progress=Progress(quiet=arguments.quiet),
-    )
+    with _preview(arguments, source.live) as preview:
+        summary = record_camera(
+            source,
+            info,
+            path,
+            limits=limits,
+            overwrite=arguments.overwrite,
+            progress=Progress(quiet=arguments.quiet),
+            preview=preview,
+        )
     return f"{source.name}; {summary.in_words('frames')}"
+
+
+@contextmanager
+def _preview(arguments: argparse.Namespace, is_live: bool) -> Iterator[Preview | None]:
+    if not arguments.preview:
+        yield None
+        return
+    if not is_live:
+        raise UsageError("--preview is for a live camera; a video can be looked at as it is")
+    from recorders.camera.preview import Preview
+
+    preview = Preview()
+    print(f"preview at {preview.url}", file=sys.stderr, flush=True)
+    try:
+        yield preview
+    finally:
+        preview.close()
 
 
 def _size(text: str) -> tuple[int, int]:
