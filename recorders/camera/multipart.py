@@ -10,6 +10,7 @@ from tunenet_logs.errors import CameraError
 
 MAX_PART_BYTES = 32 * 1024 * 1024
 _MAX_HEADER_BYTES = 16 * 1024
+_DASHES = rb"-{2,70}"  # bounded: a long run of dashes must not be searched again from each of them
 _READ_BYTES = 256 * 1024
 _TAIL_BYTES = 512
 """Longer than any delimiter: kept when what lies before a delimiter is thrown away."""
@@ -45,9 +46,9 @@ class MultipartParser:
     ) -> None:
         token = re.escape(boundary.lstrip("-").encode("latin-1", "replace"))
         any_token = rb"[0-9A-Za-z'()+_,./:=?-]{1,70}"
-        self._delimiter = re.compile(rb"--+" + (token or any_token) + rb"(--)?[ \t]*\r?\n")
-        before = rb"\r?\n" if token else rb"(?<=\xff\xd9)\s*"
-        self._end_of_body = re.compile(before + rb"--+" + (token or any_token) + rb"(--)?[ \t\r\n]")
+        self._delimiter = re.compile(_DASHES + (token or any_token) + rb"(--)?[ \t]*\r?\n")
+        before = rb"\r?\n" if token else rb"(?<=\xff\xd9)[\s\0]*"
+        self._end_of_body = re.compile(before + _DASHES + (token or any_token) + rb"(--)?[ \t\r\n]")
         self._read = read
         self._clock_ns = clock_ns
         self._buffer = bytearray()
@@ -134,4 +135,4 @@ class MultipartParser:
         end = len(self._buffer) if found is None else found.start()
         body = bytes(self._buffer[:end])
         del self._buffer[:end]
-        return body
+        return body if found else body.removesuffix(b"\r\n")

@@ -2,23 +2,34 @@
 
 from __future__ import annotations
 
+import hashlib
+import io
+import itertools
 import json
+import re
 import signal
 import subprocess
+import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from recorders.camera.capture import Limits, record_camera
+from recorders.camera.jpeg import is_whole
+from recorders.camera.multipart import MultipartParser
 from recorders.camera.sources import open_source
 from recorders.session import Summary
 from tests.conftest import BIN
 from tests.recorders.mjpeg_camera import number_in, picture, playing
 from tunenet_logs.episode import Episode, EpisodeInfo
+from tunenet_logs.errors import CameraError
 from tunenet_logs.progress import Bar, Progress
 from tunenet_logs.reader import read_episode
 
@@ -182,3 +193,72 @@ def test_a_signal_ends_a_real_process_cleanly(tmp_path: Path, number: int):
     assert len(seen) == episode.info.counts["written"] > 5
     assert seen == [number % 200 for number in range(len(seen))]
     assert not episode.warnings
+
+
+def test_user_and_password_by_digest(tmp_path: Path):
+    class Handler(BaseHTTPRequestHandler):
+        """Wants a digest (RFC 2617, without qop, as older cameras do)."""
+
+        def log_message(self, format: str, *_words: object) -> None:  # noqa: A002
+            pass
+
+        def do_GET(self) -> None:
+            given = dict(re.findall(r'(\w+)="([^"]*)"', self.headers.get("Authorization", "")))
+            secrets = ("me:camera:secret", f"GET:{self.path}")
+            first, second = (hashlib.md5(one.encode()).hexdigest() for one in secrets)
+            wanted = hashlib.md5(f"{first}:n0:{second}".encode()).hexdigest()
+            if given.get("response") != wanted:
+                self.send_response(401)
+                self.send_header("WWW-Authenticate", 'Digest realm="camera", nonce="n0"')
+                self.end_headers()
+                return
+            self.send_response(200)
+            self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=frame")
+            self.end_headers()
+            for number in range(5):
+                self.wfile.write(b"--frame\r\n\r\n" + picture(number) + b"\r\n")
+
+    with HTTPServer(("127.0.0.1", 0), Handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        address = f"me:secret@127.0.0.1:{server.server_port}/video"
+        _, episode = record(address, tmp_path / "a.mcap")
+        server.shutdown()
+    assert numbers(episode) == list(range(5))
+
+
+STREAM = b"".join(
+    b"--frame\r\nContent-Type: image/jpeg\r\n" + length + b"\r\n" + picture(number) + b"\r\n"
+    for number, length in enumerate([b"", b"Content-Length: %d\r\n" % len(picture(1)), b""])
+)
+
+
+def parts_of(data: bytes, sizes: list[int], boundary: str = "frame") -> list[bytes]:
+    """The parts of a stream that arrives in pieces of these sizes."""
+    file = io.BytesIO(data)
+    lengths = itertools.chain(sizes, itertools.repeat(100_000))
+
+    def read(most: int) -> bytes:
+        return file.read(min(most, next(lengths)))
+
+    return [part.data for part in MultipartParser(read, boundary, lambda: 0).parts()]
+
+
+@given(st.lists(st.integers(1, 3000), max_size=60), st.sampled_from(["frame", "--frame", ""]))
+def test_it_does_not_matter_how_a_stream_is_cut_on_its_way(sizes: list[int], boundary: str):
+    assert parts_of(STREAM, sizes, boundary) == [picture(number) for number in range(3)]
+
+
+@given(st.binary(max_size=400), st.integers(0, len(STREAM)), st.integers(0, 400))
+def test_damage_costs_the_part_that_it_hits_and_no_more_than_the_next(
+    noise: bytes, at: int, lost: int
+):
+    damaged = STREAM[:at] + noise + STREAM[at + lost :] + STREAM
+    with suppress(CameraError):
+        assert parts_of(damaged, [])[-2:] == [picture(1), picture(2)]
+
+
+@pytest.mark.parametrize("filler", [b"-", b"--frame", b" ", b"\xff\xd9", b"\n", b"--frame\r\n"])
+def test_a_stream_of_nothing_but_delimiters_does_not_hang(filler: bytes):
+    with suppress(CameraError):
+        parts = parts_of(filler * (400_000 // len(filler)), [])
+        assert not any(is_whole(part) for part in parts)
