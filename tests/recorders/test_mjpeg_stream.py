@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import io
 import itertools
 import json
+import os
+import pty
 import re
 import signal
+import struct
 import subprocess
+import termios
 import threading
 import time
 from collections.abc import Iterator
@@ -193,6 +198,34 @@ def test_a_signal_ends_a_real_process_cleanly(tmp_path: Path, number: int):
     assert len(seen) == episode.info.counts["written"] > 5
     assert seen == [number % 200 for number in range(len(seen))]
     assert not episode.warnings
+
+
+def test_killed_it_keeps_all_but_the_last_moments(tmp_path: Path):
+    with playing(frames=3000, distinct=200) as address:
+        process = subprocess.Popen(
+            [BIN / "tunenet-record", "--camera", f"http://{address}", "-o", "a.mcap"],
+            cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        )  # fmt: skip
+        active = tmp_path / "a.mcap.active"
+        while not active.exists() or active.stat().st_size < 500_000:
+            time.sleep(0.02)
+        process.kill()
+        process.communicate()
+    seen = numbers(read_episode(active))
+    assert len(seen) > 5
+    assert seen == [number % 200 for number in range(len(seen))]
+
+
+def test_a_terminal_shows_frames_rate_and_losses(tmp_path: Path):
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 30, 100, 0, 0))
+    with playing(frames=60) as address:
+        words = [BIN / "tunenet-record", "--camera", f"http://{address}", "-o", "a.mcap"]
+        subprocess.run(words, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=theirs, timeout=60)
+    os.close(theirs)
+    shown = os.read(ours, 100_000).decode()
+    os.close(ours)
+    assert re.search(r"recording: \d+frame .*frame/s, 0 dropped", shown)
 
 
 def test_user_and_password_by_digest(tmp_path: Path):
