@@ -36,6 +36,7 @@ class FrameQueue:
         self._counts = counts
         self._frames: deque[Frame] = deque()
         self._held_bytes = 0
+        self._last_ns: int | None = None
         self._closed = False
         self._changed = threading.Condition()
 
@@ -46,8 +47,9 @@ class FrameQueue:
                 self._changed.wait()
             if self._closed:
                 return False
-            if self.stamps_ns and frame.stamp_ns <= self.stamps_ns[-1]:  # both in one read
-                frame = replace(frame, stamp_ns=self.stamps_ns[-1] + 1)
+            if self._last_ns is not None and frame.stamp_ns <= self._last_ns:  # both in one read
+                frame = replace(frame, stamp_ns=self._last_ns + 1)
+            self._last_ns = frame.stamp_ns
             is_full = self._is_full(frame)
             if self._counts:
                 self.captured += 1

@@ -177,8 +177,8 @@ class _Handler(BaseHTTPRequestHandler):
         if not self._is_ours():
             return
         if self.path in ("/record", "/stop"):
+            self._answer(204)  # first: a recorder that stops takes this thread with it
             (self.preview.record if self.path == "/record" else self.preview.stop).set()
-            self._answer(204)
         elif self.path == "/ball" and (place := self._place()) and self.preview.point(*place):
             self._answer(204)
         else:

@@ -13,9 +13,12 @@ from typing import Any
 
 import pytest
 
+from recorders.camera.frame_queue import FrameQueue
+from recorders.camera.preview import Preview
 from recorders.camera.sources import open_source
 from tests.conftest import BIN, Command
-from tests.recorders.mjpeg_camera import number_in, playing
+from tests.recorders.mjpeg_camera import number_in, picture, playing
+from tunenet_logs.episode import Frame
 from tunenet_logs.reader import read_episode
 
 
@@ -83,8 +86,7 @@ def test_from_aiming_to_a_log(tmp_path: Path):
         assert page.ask("POST", "/ball", json.dumps({"x": 100.25, "y": 60}))[0] == 204
         assert page.state()["ball_at_px"] == [100.25, 60]
         assert page.ask("POST", "/record")[0] == 204
-        page.wait(before["frames"] + 60)
-        assert page.state()["is_recording"]
+        assert page.wait(before["frames"] + 90)["is_recording"]
         assert page.ask("POST", "/stop")[0] == 204
         out, err = page.process.communicate(timeout=20)
     assert page.process.returncode == 0, err
@@ -98,6 +100,23 @@ def test_from_aiming_to_a_log(tmp_path: Path):
     assert episode.info.notes["ball_at_px"] == "100.2,60.0"
     stamps = [frame.stamp_ns for frame in episode.frames()]
     assert 0 < stamps[-1] - int(episode.info.notes["ball_at_stamp_ns"]) < 60e9
+
+
+def test_figures_are_there_from_the_first_frame_on():
+    queue = FrameQueue(10**6, drops=True, counts=False)
+    preview = Preview()
+    try:
+        assert preview.state()["rate_hz"] == 0
+        for _ in range(3):  # three frames that arrived in one read, before anything counts
+            queue.put(Frame(5, "jpeg", picture(1)))
+            frame = queue.get(0)
+            assert frame is not None
+            preview.show(frame, 0)
+            assert preview.state()["size_px"] == [320, 240]
+        assert preview.state()["rate_hz"] > 0
+        assert queue.captured == 0
+    finally:
+        preview.close()
 
 
 def test_the_picture_is_the_cameras_own(tmp_path: Path):
