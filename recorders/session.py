@@ -1,4 +1,4 @@
-"""From a source of samples to a log: signals, counts, progress."""
+"""What every recording shares, a stop and a summary; and a simulated episode as a recording."""
 
 from __future__ import annotations
 
@@ -22,12 +22,25 @@ class Summary:
 
     Attributes:
         ended: why it ended before its source did; "" if it did not.
+        damaged: what came and was no whole picture; not captured.
+        rate_hz: measured, where the source is a camera.
     """
 
     captured: int
     written: int
     dropped: int
     ended: str = ""
+    damaged: int = 0
+    rate_hz: float = 0.0
+
+    def in_words(self, unit: str) -> str:
+        """For the last line that a recorder prints."""
+        words = f"{self.captured} {unit} captured, {self.written} written, {self.dropped} dropped"
+        if self.damaged:
+            words += f", {self.damaged} damaged"
+        if self.rate_hz:
+            words += f", {self.rate_hz:.1f} Hz"
+        return words + (f" ({self.ended})" if self.ended else "")
 
 
 @contextmanager

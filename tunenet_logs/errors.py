@@ -17,6 +17,10 @@ class LogError(TuneNetError):
     """A log that cannot be read or written."""
 
 
+class CameraError(TuneNetError):
+    """A camera or video that cannot be recorded."""
+
+
 class WeightsError(TuneNetError):
     """Network weights that are damaged, or meant for something else."""
 

@@ -15,9 +15,16 @@ class Bar(Protocol):
         """So many units more are done."""
         ...
 
+    def set_postfix_str(self, text: str, /, *, refresh: bool) -> object:
+        """Show something beside the count, from the next `update` on."""
+        ...
+
 
 class _NoBar:
     def update(self, _done: int, /) -> None:
+        """Show nothing."""
+
+    def set_postfix_str(self, _text: str, /, *, refresh: bool) -> None:
         """Show nothing."""
 
 
@@ -28,8 +35,8 @@ class Progress:
         self._shown = not quiet and sys.stderr.isatty()
 
     @contextmanager
-    def bar(self, total: int, what: str, unit: str) -> Iterator[Bar]:
-        """A bar over `total` units of work."""
+    def bar(self, total: int | None, what: str, unit: str) -> Iterator[Bar]:
+        """A bar over `total` units of work; count and rate alone where that is not known."""
         if not self._shown:
             yield _NoBar()
             return

@@ -6,6 +6,7 @@ import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -91,6 +92,16 @@ class EpisodeWriter:
     def written(self) -> int:
         """Messages accepted so far."""
         return sum(self._sequences.values())
+
+    def note(self, name: str, text: str) -> None:
+        """Say something in the log's info that became known while recording."""
+        self.info = replace(self.info, notes={**self.info.notes, name: text})
+
+    def discard(self) -> None:
+        """Leave no log: nothing came that is worth one. A log that it would replace stays."""
+        with suppress(OSError):  # the bytes that it still holds are not wanted
+            self._file.close()
+        self.active_path.unlink(missing_ok=True)
 
     def close(self, ended: str = "", **counts: int) -> None:
         """Finish the log and give it its name. Safe to call twice.

@@ -22,8 +22,11 @@ class StopsAfter(Progress):
         self.left = samples
 
     @contextmanager
-    def bar(self, total: int, what: str, unit: str) -> Iterator[Bar]:  # noqa: ARG002
+    def bar(self, total: int | None, what: str, unit: str) -> Iterator[Bar]:  # noqa: ARG002
         yield self
+
+    def set_postfix_str(self, text: str, /, *, refresh: bool) -> None:
+        pass
 
     def update(self, done: int, /) -> None:
         self.left -= done

@@ -1,0 +1,1 @@
+"""Cameras and videos as sources of frames: devices, network streams, files."""

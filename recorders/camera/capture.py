@@ -1,0 +1,207 @@
+"""From a camera to a log: one thread reads, the other writes, and what is lost is counted."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from recorders.camera.base import Source
+from recorders.camera.frame_queue import FrameQueue
+from recorders.session import Summary, stop_flag
+from tunenet_logs.episode import EpisodeInfo
+from tunenet_logs.errors import CameraError, LogError, TuneNetError
+from tunenet_logs.images import image_size
+from tunenet_logs.progress import Bar, Progress
+from tunenet_logs.writer import EpisodeWriter
+
+if TYPE_CHECKING:
+    from recorders.camera.preview import Preview
+
+TOPIC = "/camera/image_raw/compressed"
+_LOOK_SECONDS = 0.1
+"""How often a wait for frames looks up, for a signal or a camera that fell silent."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """When a recording ends by itself, and what may wait in memory.
+
+    Attributes:
+        seconds: length by the frames' stamps; None: until the source ends, or a signal.
+        stall_s: the longest a live source may deliver nothing.
+        queue_bytes: pictures read and not yet written.
+    """
+
+    seconds: float | None = None
+    stall_s: float = 5.0
+    queue_bytes: int = 64 * 1024 * 1024
+
+
+def record_camera(
+    source: Source,
+    info: EpisodeInfo,
+    path: Path,
+    *,
+    limits: Limits,
+    overwrite: bool,
+    progress: Progress,
+    preview: Preview | None = None,
+) -> Summary:
+    """Write a source's frames to a log until it ends, stalls, or is told to stop.
+
+    With a preview, from the moment on when that is told to record.
+
+    Raises:
+        CameraError: no frame came (no log is left), or the source failed (what came is kept).
+        LogError: `path` exists or cannot be written; what was written before is kept.
+    """
+    info = replace(info, source=source.name, notes={**info.notes, **source.notes()})
+    with (
+        closing(source),
+        stop_flag() as stop,
+        EpisodeWriter(path, info, overwrite=overwrite, live=source.live) as writer,
+        progress.bar(None, "recording", "frame") as bar,
+    ):
+        reader = _Reader(source, limits, counts=preview is None)
+        reader.start()
+        try:
+            ended = _write_frames(reader, writer, stop, bar, preview)
+        finally:
+            reader.stop()
+        queue = reader.queue
+        if not queue.captured:
+            writer.discard()
+            raise reader.error or CameraError(_nothing_came(source, ended))
+        rate_hz = measured_hz(queue.stamps_ns)
+        if rate_hz:
+            writer.note("measured_hz", f"{rate_hz:.3f}")
+        for name, text in source.notes().items():
+            writer.note(name, text)
+        if preview is not None and preview.click is not None:
+            writer.note("ball_at_px", f"{preview.click.x_px:.1f},{preview.click.y_px:.1f}")
+            writer.note("ball_at_stamp_ns", str(preview.click.stamp_ns))
+        damaged = {"damaged": source.damaged} if source.damaged else {}
+        writer.close(ended, captured=queue.captured, dropped=queue.dropped, **damaged)
+    if reader.error is not None:
+        raise CameraError(
+            f"{reader.error}; the {writer.written} frames before that are kept in {path}"
+        ) from reader.error
+    return Summary(
+        queue.captured, writer.written, queue.dropped, ended, source.damaged, rate_hz=rate_hz
+    )
+
+
+def measured_hz(stamps_ns: Sequence[int]) -> float:
+    """Median rate of frames [Hz]; 0 for fewer than two."""
+    if len(stamps_ns) < 2:
+        return 0.0
+    return 1e9 / float(np.median(np.diff(np.array(stamps_ns, np.int64))))
+
+
+class _Reader(threading.Thread):
+    """Puts a source's frames into a queue; its failure waits in `error`.
+
+    A daemon: a camera that fell silent must not keep the process.
+    """
+
+    def __init__(self, source: Source, limits: Limits, *, counts: bool) -> None:
+        super().__init__(name="camera", daemon=True)
+        self.source = source
+        self.limits = limits
+        self.queue = FrameQueue(limits.queue_bytes, drops=source.live, counts=counts)
+        self.error: TuneNetError | None = None
+
+    def run(self) -> None:
+        try:
+            self._read()
+        except TuneNetError as error:
+            self.error = error
+        except Exception as error:  # noqa: BLE001 (in a thread, else nobody would hear of it)
+            self.error = CameraError(
+                f"{self.source.name}: reading failed ({type(error).__name__}: {error})"
+            )
+            self.error.__cause__ = error
+        finally:
+            self.queue.close()
+
+    def _read(self) -> None:
+        seconds = self.limits.seconds
+        with closing(self.source.frames()) as frames:  # type: ignore[type-var]
+            for frame in frames:
+                past_ns = self.queue.since_first_ns(frame.stamp_ns)
+                if seconds is not None and past_ns >= seconds * 1e9:
+                    return
+                if not self.queue.put(frame):
+                    return
+
+    def stop(self) -> None:
+        """Take no more frames, and wait a moment for the source to notice."""
+        self.queue.close()
+        self.source.close()
+        self.join(1.0)
+
+
+def _write_frames(
+    reader: _Reader,
+    writer: EpisodeWriter,
+    stop: threading.Event,
+    bar: Bar,
+    preview: Preview | None,
+) -> str:
+    """Write frames until there are no more; why there are none, "" at the end of the source."""
+    queue, source, stall_s = reader.queue, reader.source, reader.limits.stall_s
+    is_recording = preview is None
+    ended = ""
+    heard = time.monotonic()
+    while not queue.is_done:
+        if preview is not None and preview.record.is_set() and not is_recording:
+            is_recording = True
+            queue.start()
+        if not ended and (ended := _told_to_stop(stop, preview)):
+            queue.close()
+        frame = queue.get(_LOOK_SECONDS)
+        if frame is not None:
+            if is_recording:
+                if not writer.written:
+                    _note_size(writer, frame.data)
+                writer.write_frame(TOPIC, frame)
+                bar.set_postfix_str(f"{queue.dropped} dropped", refresh=False)
+                bar.update(1)
+            if preview is not None:
+                preview.show(frame, queue.dropped)
+            heard = time.monotonic()
+        elif source.live and not ended and time.monotonic() - heard > stall_s:
+            ended = f"no frame for {stall_s:.1f} s"
+            queue.close()
+    failure = "" if reader.error is None else str(reader.error)
+    return ended or source.ended or failure
+
+
+def _told_to_stop(stop: threading.Event, preview: Preview | None) -> str:
+    if stop.is_set():
+        return "stopped by a signal"
+    return "stopped on the page" if preview is not None and preview.stop.is_set() else ""
+
+
+def _note_size(writer: EpisodeWriter, data: bytes) -> None:
+    try:
+        width, height = image_size(data)
+    except LogError:  # a file's own JPEG, kept however it is
+        return
+    writer.note("size_px", f"{width}x{height}")
+
+
+def _nothing_came(source: Source, ended: str) -> str:
+    if ended.startswith("stopped"):
+        return f"{source.name}: {ended} before a frame was recorded; no log is left"
+    why = ended or "it holds none"
+    damaged = f", {source.damaged} parts were no whole JPEG" if source.damaged else ""
+    remedy = "try again with a longer --stall" if source.live else "is it whole?"
+    return f"{source.name}: no frame came ({why}{damaged}); {remedy}"

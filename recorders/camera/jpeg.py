@@ -1,0 +1,56 @@
+"""JPEG pictures: whether one is whole, and making one of bare pixels."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tunenet_logs.episode import Frame
+from tunenet_logs.errors import LogError
+from tunenet_logs.images import MAX_PIXELS, image_size
+
+_QUALITY = 95
+
+
+def is_whole(data: bytes) -> bool:
+    """Whether `data` is one JPEG from its first marker to its last, of a size that cameras have.
+
+    Zeros and white space after the end are a sender's padding. What lies between is not decoded.
+    """
+    if not data.startswith(b"\xff\xd8") or not data.rstrip(b"\0 \t\r\n").endswith(b"\xff\xd9"):
+        return False
+    try:
+        width, height = image_size(data)
+    except LogError:
+        return False
+    return 0 < width * height <= MAX_PIXELS
+
+
+def compressed(frame: Frame) -> Frame:
+    """The frame as a JPEG; one that is compressed already stays as it is.
+
+    Colour is kept at full resolution (4:4:4): a small ball is found by its colour.
+    """
+    if frame.size is None:
+        return frame
+    import cv2
+
+    width, height = frame.size
+    pixels = np.frombuffer(frame.data, np.uint8).reshape(height, width, 3)
+    return Frame(frame.stamp_ns, "jpeg", from_bgr(cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)))
+
+
+def from_bgr(pixels: np.ndarray) -> bytes:
+    """A JPEG of BGR (H, W, 3) or grey (H, W) pixels, uint8.
+
+    Raises:
+        LogError: a picture wider or higher than any JPEG.
+    """
+    import cv2
+
+    settings = [cv2.IMWRITE_JPEG_QUALITY, _QUALITY]
+    settings += [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
+    done, data = cv2.imencode(".jpg", pixels, settings)
+    if not done:
+        height, width = pixels.shape[:2]
+        raise LogError(f"a picture of {width} x {height} px fits no JPEG; record a smaller one")
+    return data.tobytes()

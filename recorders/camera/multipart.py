@@ -1,0 +1,138 @@
+"""A multipart stream of pictures taken apart, however sloppy its sender is."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from tunenet_logs.errors import CameraError
+
+MAX_PART_BYTES = 32 * 1024 * 1024
+_MAX_HEADER_BYTES = 16 * 1024
+_DASHES = rb"-{2,70}"  # bounded: a long run of dashes must not be searched again from each of them
+_READ_BYTES = 256 * 1024
+_TAIL_BYTES = 512
+"""Longer than any delimiter: kept when what lies before a delimiter is thrown away."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """One part's body.
+
+    Attributes:
+        arrived_ns: monotonic time at which its first byte was here.
+    """
+
+    arrived_ns: int
+    data: bytes
+
+
+class MultipartParser:
+    """Takes parts out of a stream of bytes.
+
+    A part ends after its Content-Length where it states one, else at the next delimiter. Senders
+    differ in whether the boundary they announce has its two leading dashes already: both are
+    understood, and so is a stream that announces none.
+
+    Args:
+        read: up to so many bytes, as soon as there are any; b"" at the end.
+        boundary: as announced, or "".
+        clock_ns: monotonic time.
+    """
+
+    def __init__(
+        self, read: Callable[[int], bytes], boundary: str, clock_ns: Callable[[], int]
+    ) -> None:
+        token = re.escape(boundary.lstrip("-").encode("latin-1", "replace"))
+        any_token = rb"[0-9A-Za-z'()+_,./:=?-]{1,70}"
+        self._delimiter = re.compile(_DASHES + (token or any_token) + rb"(--)?[ \t]*\r?\n")
+        before = rb"\r?\n" if token else rb"(?<=\xff\xd9)[\s\0]*"
+        self._end_of_body = re.compile(before + _DASHES + (token or any_token) + rb"(--)?[ \t\r\n]")
+        self._read = read
+        self._clock_ns = clock_ns
+        self._buffer = bytearray()
+        self._arrived_ns = 0
+        self._at_end = False
+
+    def parts(self) -> Iterator[Part]:
+        """The parts in order, until the stream ends. One that is cut short is delivered as it is.
+
+        Raises:
+            CameraError: what comes is no multipart stream, or has no end.
+        """
+        while self._skip_delimiter():
+            length = self._content_length()
+            if not self._buffer and not self._fill():
+                return
+            arrived_ns = self._arrived_ns
+            yield Part(
+                arrived_ns, self._until_delimiter() if length is None else self._take(length)
+            )
+
+    def _fill(self) -> bool:
+        data = b"" if self._at_end else self._read(_READ_BYTES)
+        self._arrived_ns = self._clock_ns()
+        self._at_end = not data
+        self._buffer += data
+        return bool(data)
+
+    def _skip_delimiter(self) -> bool:
+        """Go behind the next delimiter; False at the end of the stream."""
+        skipped = 0
+        while (found := self._delimiter.search(self._buffer)) is None:
+            surplus = max(0, len(self._buffer) - _TAIL_BYTES)
+            del self._buffer[:surplus]
+            skipped += surplus
+            if skipped > MAX_PART_BYTES:
+                raise CameraError("sends no part of a multipart stream; is it a camera's stream?")
+            if not self._fill():
+                return False
+        del self._buffer[: found.end()]
+        return not found.group(1)  # a delimiter with dashes behind it closes the stream
+
+    def _content_length(self) -> int | None:
+        """Read a part's headers; what they state as its length."""
+        length = None
+        used = 0
+        while True:
+            while (end := self._buffer.find(b"\n")) < 0:
+                if len(self._buffer) > _MAX_HEADER_BYTES:
+                    raise CameraError("sends a part whose headers have no end")
+                if not self._fill():
+                    return None
+            line = bytes(self._buffer[:end]).strip()
+            del self._buffer[: end + 1]
+            used += end
+            if used > _MAX_HEADER_BYTES:
+                raise CameraError("sends a part whose headers have no end")
+            if not line:
+                return length
+            name, _, value = line.partition(b":")
+            if name.strip().lower() == b"content-length" and value.strip().isdigit():
+                stated = int(value.strip()[:18])
+                length = stated if 0 < stated <= MAX_PART_BYTES else None
+
+    def _take(self, length: int) -> bytes:
+        while len(self._buffer) < length and self._fill():
+            pass
+        body = bytes(self._buffer[:length])
+        cut = None
+        if not body.rstrip(b"\0 \t\r\n").endswith(b"\xff\xd9"):  # less came than was stated?
+            cut = self._end_of_body.search(body)
+        used = len(body) if cut is None else cut.start()
+        del self._buffer[:used]
+        return body[:used]
+
+    def _until_delimiter(self) -> bytes:
+        start = 0
+        while (found := self._end_of_body.search(self._buffer, start)) is None:
+            start = max(0, len(self._buffer) - _TAIL_BYTES)
+            if len(self._buffer) > MAX_PART_BYTES:
+                raise CameraError(f"sends a part of more than {MAX_PART_BYTES} bytes")
+            if not self._fill():
+                break
+        end = len(self._buffer) if found is None else found.start()
+        body = bytes(self._buffer[:end])
+        del self._buffer[:end]
+        return body if found else body.removesuffix(b"\r\n")

@@ -1,0 +1,156 @@
+"""What `tunenet-record --camera` can be told, and what it does with it."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tunenet_logs.commandline import number
+from tunenet_logs.errors import UsageError
+from tunenet_logs.progress import Progress
+
+if TYPE_CHECKING:
+    from recorders.camera.preview import Preview
+
+_SIZE = re.compile(r"([1-9]\d{0,4})[xX]([1-9]\d{0,4})")
+_LONGEST_NAME = 100
+
+
+def camera_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
+    """Add the options that are a camera's alone."""
+    add = group.add_argument
+    return [
+        add(
+            "--fps",
+            type=number(1, 100_000, "Hz"),
+            metavar="HZ",
+            help="rate at which a video file was filmed (default: as its tags say)",
+        ),
+        add(
+            "--stall",
+            type=number(0.1, 600, "s"),
+            metavar="S",
+            help="end when a camera delivers nothing for so long [s] (default: 5)",
+        ),
+        add("--size", type=_size, metavar="WxH", help="of a plugged-in camera's picture [px]"),
+        add(
+            "--exposure",
+            type=number(0.1, 1000, "ms"),
+            metavar="MS",
+            help="of a plugged-in camera; 4 ms or less keeps a ball sharp (default: left alone)",
+        ),
+        add(
+            "--white-balance",
+            type=number(1000, 20_000, "K"),
+            metavar="K",
+            help="of a plugged-in camera, locked [K] (default: left alone)",
+        ),
+        add(
+            "--focus",
+            type=number(0, 10_000),
+            metavar="N",
+            help="of a plugged-in camera, locked, in its own units (default: left alone)",
+        ),
+        add(
+            "--preview",
+            action="store_true",
+            default=None,
+            help="show a live camera on a page of this machine, and record from there on",
+        ),
+        add("--ball", type=_name, metavar="NAME", help="which ball it is, for the log"),
+        add(
+            "--ball-diameter",
+            type=number(0.001, 10, "m"),
+            metavar="M",
+            help="of the ball [m]; gives the picture its scale",
+        ),
+        add("--ball-mass", type=number(0.0001, 1000, "kg"), metavar="KG", help="of the ball [kg]"),
+        add(
+            "--drop-height",
+            type=number(0.01, 1000, "m"),
+            metavar="M",
+            help="from the ball's underside to the table [m]",
+        ),
+    ]
+
+
+def record_camera_as_asked(arguments: argparse.Namespace, path: Path) -> str:
+    """Record the camera; what to say of it on the last line.
+
+    Raises:
+        TuneNetError: it cannot be opened, read or written.
+    """
+    from recorders.camera.capture import Limits, record_camera
+    from recorders.camera.settings import Settings
+    from recorders.camera.sources import open_source
+    from tunenet_logs.episode import EpisodeInfo
+
+    limits = Limits(seconds=arguments.seconds, stall_s=arguments.stall or Limits.stall_s)
+    settings = Settings(
+        size=arguments.size,
+        rate_hz=arguments.rate,
+        exposure_ms=arguments.exposure,
+        white_balance_k=arguments.white_balance,
+        focus=arguments.focus,
+    )
+    rig = {
+        "ball_diameter_m": arguments.ball_diameter,
+        "ball_mass_kg": arguments.ball_mass,
+        "drop_height_m": arguments.drop_height,
+    }
+    info = EpisodeInfo(
+        kind="drop",
+        rig={name: value for name, value in rig.items() if value is not None},
+        notes={"ball": arguments.ball} if arguments.ball else {},
+    )
+    source = open_source(
+        arguments.camera, settings=settings, filmed_hz=arguments.fps, timeout_s=limits.stall_s
+    )
+    with _preview(arguments, source.live) as preview:
+        summary = record_camera(
+            source,
+            info,
+            path,
+            limits=limits,
+            overwrite=arguments.overwrite,
+            progress=Progress(quiet=arguments.quiet),
+            preview=preview,
+        )
+    return f"{source.name}; {summary.in_words('frames')}"
+
+
+@contextmanager
+def _preview(arguments: argparse.Namespace, is_live: bool) -> Iterator[Preview | None]:
+    if not arguments.preview:
+        yield None
+        return
+    if not is_live:
+        raise UsageError("--preview is for a live camera; a video can be looked at as it is")
+    from recorders.camera.preview import Preview
+
+    preview = Preview()
+    print(f"preview at {preview.url}", file=sys.stderr, flush=True)
+    try:
+        yield preview
+    finally:
+        preview.close()
+
+
+def _size(text: str) -> tuple[int, int]:
+    found = _SIZE.fullmatch(text)
+    if found is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a size in pixels, such as 1280x720")
+    return int(found.group(1)), int(found.group(2))
+
+
+def _name(text: str) -> str:
+    if not text.strip() or not text.isprintable() or len(text) > _LONGEST_NAME:
+        raise argparse.ArgumentTypeError(
+            f"{text[:_LONGEST_NAME]!r} is not a name of 1 to {_LONGEST_NAME} printable characters"
+        )
+    return text

@@ -1,0 +1,70 @@
+"""From what the user names to the source that it is."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from recorders.camera.base import Source
+from recorders.camera.settings import Settings
+from tunenet_logs.errors import UsageError
+
+_OPTIONS = {
+    "size": "--size",
+    "rate_hz": "--rate",
+    "exposure_ms": "--exposure",
+    "white_balance_k": "--white-balance",
+    "focus": "--focus",
+}
+_SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://")
+
+
+def open_source(
+    text: str,
+    *,
+    settings: Settings | None = None,
+    filmed_hz: float | None = None,
+    timeout_s: float = 5.0,
+) -> Source:
+    """Open a camera or a video.
+
+    Args:
+        text: a device's number or /dev/... path, an http, https or rtsp address, or a file.
+        settings: what to ask of a device.
+        filmed_hz: rate at which a file was filmed, where its tags do not say so.
+        timeout_s: the longest silence of a network camera.
+
+    Raises:
+        UsageError: an option that is not for this source, or an address that is none.
+        CameraError: it cannot be opened.
+        LogError: a file that is no video.
+    """
+    settings = settings or Settings()
+    scheme = found.group(1).lower() if (found := _SCHEME.match(text)) else ""
+    is_number = text.isascii() and text.isdecimal() and len(text) < 5
+    is_device = is_number or text.startswith("/dev/")
+    if not is_device and settings.asked():
+        option = _OPTIONS[settings.asked()[0]]
+        raise UsageError(f"{option} is for a camera that is plugged in; leave it out")
+    if (is_device or scheme) and filmed_hz is not None:
+        raise UsageError("--fps is for a video file; a camera's rate is measured")
+    # Each pulls in its own library, so that a file needs no network code and the other way round.
+    if is_device:
+        from recorders.camera.device import CameraDevice
+
+        return CameraDevice(Path(f"/dev/video{int(text)}" if is_number else text), settings)
+    if scheme in ("http", "https"):
+        from recorders.camera.address import Address
+        from recorders.camera.mjpeg_stream import MjpegStream
+
+        return MjpegStream(Address.of(text), timeout_s)
+    if scheme == "rtsp":
+        from recorders.camera.address import Address
+        from recorders.camera.rtsp_stream import RtspStream
+
+        return RtspStream(Address.of(text), timeout_s)
+    if scheme:
+        raise UsageError(f"--camera: {scheme} is not recorded; use http, https, rtsp or a file")
+    from recorders.camera.video_file import VideoFile
+
+    return VideoFile(Path(text), filmed_hz)

@@ -1,0 +1,63 @@
+"""A video file as a source of frames: every frame, at the times that the file states."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from recorders.camera.jpeg import compressed
+from tunenet_logs.episode import Frame
+from tunenet_logs.errors import CameraError
+from tunenet_logs.formats.video import open_video, video_notes
+
+
+class VideoFile:
+    """A video file.
+
+    Args:
+        path: the file.
+        filmed_hz: rate at which it was filmed, where the user knows better than its tags.
+
+    Raises:
+        CameraError: `path` is no file.
+        LogError: no video, or damaged.
+    """
+
+    live = False
+    damaged = 0
+    ended = ""
+
+    def __init__(self, path: Path, filmed_hz: float | None = None) -> None:
+        if path.is_dir():
+            raise CameraError(f"{path}: is a directory; name a video file inside it")
+        if not path.exists():
+            raise CameraError(f"{path}: no such file; name a video, a camera's number or address")
+        if not path.is_file():
+            raise CameraError(f"{path}: is neither a file nor a camera device")
+        if not path.stat().st_size:
+            raise CameraError(f"{path}: is empty; copy the video again")
+        self._video = open_video(path, filmed_hz)
+        self._closed = False
+        self.name = f"video file {path.name}"
+
+    def notes(self) -> dict[str, str]:
+        """Codec, size, rates, and what was doubtful."""
+        notes = video_notes(self._video)
+        if self._video.warnings:
+            notes["warnings"] = "; ".join(self._video.warnings)
+        return notes
+
+    def frames(self) -> Iterator[Frame]:
+        """All frames; a camera's own JPEGs untouched, all else compressed anew.
+
+        Raises:
+            LogError: the file is damaged; the frames before that have been delivered.
+        """
+        for frame in self._video.frames():
+            if self._closed:
+                return
+            yield compressed(frame)
+
+    def close(self) -> None:
+        """End running `frames`; nothing is held open otherwise."""
+        self._closed = True

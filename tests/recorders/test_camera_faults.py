@@ -1,0 +1,200 @@
+"""Cameras that are none, answer nonsense or break; and logs that cannot be written."""
+
+from __future__ import annotations
+
+import socket
+import subprocess
+import sys
+import threading
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from recorders.camera.capture import Limits, record_camera
+from tests.conftest import Command
+from tests.recorders.mjpeg_camera import picture, playing
+from tests.recorders.test_mjpeg_stream import QUIET, numbers, record
+from tunenet_logs.episode import EpisodeInfo, Frame
+from tunenet_logs.errors import CameraError, LogError
+from tunenet_logs.reader import read_episode
+
+
+def test_user_and_password_are_sent_and_never_shown(command: Command, tmp_path: Path):
+    with playing(frames=20, user="me:se cret") as address:
+        url = f"http://me:se%20cret@{address}?pwd=hidden"
+        good = command("tunenet-record", "--camera", url, "-o", "a.mcap", cwd=tmp_path)
+        wrong = command("tunenet-record", "--camera", url.replace("me:", "you:"), cwd=tmp_path)
+        without = command("tunenet-record", "--camera", f"http://{address}", cwd=tmp_path)
+    assert good.returncode == 0, good.stderr
+    for result in (wrong, without):
+        assert result.returncode == 1
+        assert result.stderr.count("\n") == 1
+        assert "401" in result.stderr
+    log = tmp_path / "a.mcap"
+    info = read_episode(log).info
+    shown = good.stdout + good.stderr + wrong.stderr + str(info.to_strings())
+    assert "cret" not in shown
+    assert "hidden" not in shown
+    assert f"camera http://{address}" == info.source
+    assert b"cret" not in log.read_bytes()
+    assert [one.name for one in tmp_path.iterdir()] == ["a.mcap"]
+
+
+@pytest.mark.parametrize(
+    ("plan", "says"),
+    [
+        ({"status": 404}, "404"),
+        ({"kind": "text/html", "body": "<html>hello</html>"}, "text/html"),
+        ({"kind": "image/jpeg", "body": "x"}, "image/jpeg"),
+        ({"kind": "multipart/x-mixed-replace; boundary=frame", "body": "x" * 999}, "no frame came"),
+        ({"cut_every": 1, "frames": 12}, "12 parts were no whole JPEG"),
+        ({"stall_after": 0, "slow_start_s": 60.0}, "no frame came"),
+    ],
+)
+def test_what_is_no_stream_is_one_line_and_leaves_no_file(
+    command: Command, tmp_path: Path, plan: dict[str, object], says: str
+):
+    with playing(**plan) as address:
+        words = ("tunenet-record", "--camera", f"http://{address}", "--stall", 1)
+        result = command(*words, cwd=tmp_path)
+    assert result.returncode == 1
+    assert result.stderr.count("\n") == 1
+    assert says in result.stderr
+    assert address in result.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def closed_port() -> int:
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return one.getsockname()[1]
+
+
+@pytest.mark.parametrize(
+    ("source", "code"),
+    [
+        (f"http://127.0.0.1:{closed_port()}/video", 1),
+        (f"rtsp://me:secret@127.0.0.1:{closed_port()}/video", 1),
+        ("http://", 2),
+        ("http://me:secret@host:port/", 2),
+        ("http://host/a path", 2),
+        ("ftp://me:secret@host/video", 2),
+    ],
+)
+def test_an_address_that_does_not_answer_is_one_line(
+    command: Command, tmp_path: Path, source: str, code: int
+):
+    result = command("tunenet-record", "--camera", source, cwd=tmp_path)
+    assert result.returncode == code
+    assert result.stderr.count("\n") == 1
+    assert "secret" not in result.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def answering_once(answer: bytes) -> str:
+    """A server that sends `answer` to its first caller, whatever is asked."""
+    listener = socket.create_server(("127.0.0.1", 0))
+
+    def serve() -> None:
+        with listener:
+            caller, _ = listener.accept()
+            with caller, suppress(ConnectionError):  # it may have heard enough
+                caller.recv(65536)
+                caller.sendall(answer)
+
+    threading.Thread(target=serve, daemon=True).start()
+    return f"127.0.0.1:{listener.getsockname()[1]}/video"
+
+
+STREAM = b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=frame\r\n\r\n"
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        b"SSH-2.0-OpenSSH_9.6\r\n",
+        b"",
+        STREAM + b"--frame\r\n" + b"X-Header: 1\r\n" * 5000,
+        STREAM + b"--frame\r\n" + b"x" * 100_000,
+        STREAM + b"--frame\r\nContent-Length: 99999999999999\r\n\r\n" + b"\xff\xd8",
+        STREAM + b"--frame\r\nContent-Length: -5\r\n\r\n\r\n--frame--\r\n",
+    ],
+)
+def test_nonsense_is_one_clear_error(tmp_path: Path, answer: bytes):
+    with pytest.raises(CameraError, match=r"127\.0\.0\.1"):
+        record(answering_once(answer), tmp_path / "a.mcap", stall_s=2.0)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_picture_of_a_forged_size_is_damage(tmp_path: Path):
+    whole = picture(1)
+    at = whole.index(b"\xff\xc0")
+    forged = whole[: at + 5] + b"\x75\x30\x75\x30" + whole[at + 9 :]
+    parts = b"".join(b"--frame\r\n\r\n" + one + b"\r\n" for one in (whole, forged, whole))
+    summary, _ = record(answering_once(STREAM + parts), tmp_path / "a.mcap")
+    assert (summary.written, summary.damaged) == (2, 1)
+
+
+def test_a_part_without_an_end_keeps_what_came_before(tmp_path: Path):
+    whole = b"--frame\r\n\r\n" + picture(1) + b"\r\n"
+    endless = b"--frame\r\n\r\n" + bytes(40 * 1024 * 1024)
+    with pytest.raises(CameraError, match="the 1 frames before that are kept in"):
+        record(answering_once(STREAM + whole + endless), tmp_path / "a.mcap")
+    episode = read_episode(tmp_path / "a.mcap")
+    assert [frame.data for frame in episode.frames()] == [picture(1)]
+    assert "more than" in episode.info.notes["ended"]
+
+
+def test_a_failure_in_the_reading_thread_reaches_the_user(tmp_path: Path):
+    class Breaks:
+        """A source with a defect of its own."""
+
+        name, live, ended, damaged = "camera broken", True, "", 0
+
+        def notes(self):
+            return {}
+
+        def frames(self):
+            yield Frame(1, "jpeg", picture(1))
+            raise ZeroDivisionError("oops")
+
+        def close(self):
+            pass
+
+    with pytest.raises(CameraError, match=r"camera broken: .*ZeroDivisionError.*1 frames before"):
+        record_camera(
+            Breaks(),
+            EpisodeInfo(),
+            tmp_path / "a.mcap",
+            limits=Limits(),
+            overwrite=False,
+            progress=QUIET,
+        )
+    assert len(list(read_episode(tmp_path / "a.mcap").frames())) == 1
+
+
+def test_a_log_that_exists_stays(tmp_path: Path):
+    (tmp_path / "a.mcap").write_bytes(b"mine")
+    with playing(frames=20) as address, pytest.raises(LogError, match="--overwrite"):
+        record(address, tmp_path / "a.mcap")
+    assert (tmp_path / "a.mcap").read_bytes() == b"mine"
+
+
+def test_a_full_disk_ends_it_and_keeps_what_was_written(tmp_path: Path):
+    code = """
+import resource, signal, sys
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (600_000, 600_000))
+from recorders.cli import main
+sys.exit(main(["--camera", sys.argv[1], "-o", "a.mcap"]))
+"""
+    with playing(frames=900) as address:
+        words = [sys.executable, "-c", code, f"http://{address}"]
+        result = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert result.returncode == 1
+    assert "writing failed" in result.stderr
+    assert result.stderr.count("\n") == 1
+    seen = numbers(read_episode(tmp_path / "a.mcap.active"))
+    assert len(seen) > 3
+    assert seen == list(range(len(seen)))

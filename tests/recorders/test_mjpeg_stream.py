@@ -1,0 +1,297 @@
+"""A network camera over real sockets: what it sends arrives, whatever else it does."""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import io
+import itertools
+import json
+import os
+import pty
+import re
+import signal
+import struct
+import subprocess
+import termios
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from recorders.camera.capture import Limits, record_camera
+from recorders.camera.jpeg import is_whole
+from recorders.camera.multipart import MultipartParser
+from recorders.camera.sources import open_source
+from recorders.session import Summary
+from tests.conftest import BIN
+from tests.recorders.mjpeg_camera import number_in, picture, playing
+from tunenet_logs.episode import Episode, EpisodeInfo
+from tunenet_logs.errors import CameraError
+from tunenet_logs.progress import Bar, Progress
+from tunenet_logs.reader import read_episode
+
+QUIET = Progress(quiet=True)
+
+
+def record(address: str, path: Path, **limits: float) -> tuple[Summary, Episode]:
+    """Record to `path` in this process, and read it back."""
+    source = open_source(f"http://{address}", timeout_s=5.0)
+    summary = record_camera(
+        source,
+        EpisodeInfo(kind="drop"),
+        path,
+        limits=Limits(**limits),  # type: ignore[arg-type]
+        overwrite=False,
+        progress=QUIET,
+    )
+    episode = read_episode(path)
+    counts = dict(episode.info.counts)
+    assert not episode.warnings
+    assert not path.with_name(path.name + ".active").exists()
+    assert counts["captured"] == counts["written"] + counts["dropped"]
+    assert counts["written"] == len(list(episode.frames())) == summary.written
+    return summary, episode
+
+
+def numbers(episode: Episode) -> list[int]:
+    return [number_in(frame.decode()) for frame in episode.frames()]
+
+
+@pytest.mark.parametrize("rate_hz", [30.0, 60.0])
+def test_every_frame_arrives_in_order_with_its_bytes_and_time(tmp_path: Path, rate_hz: float):
+    sent = tmp_path / "sent.json"
+    with playing(frames=90, rate_hz=rate_hz, sent=str(sent)) as address:
+        summary, episode = record(address, tmp_path / "a.mcap")
+        while not sent.exists() or not sent.read_text():
+            time.sleep(0.01)
+    assert summary.dropped == 0
+    assert summary.rate_hz == pytest.approx(rate_hz, rel=0.1)
+    assert [frame.data for frame in episode.frames()] == [picture(index) for index in range(90)]
+    stamps = np.array([frame.stamp_ns for frame in episode.frames()])
+    assert np.all(np.diff(stamps) > 0)
+    anchor = time.time_ns() - time.monotonic_ns()
+    late_ms = (stamps - anchor - np.array(json.loads(sent.read_text()))) / 1e6
+    assert abs(np.median(late_ms)) < 5
+
+
+def test_the_log_says_where_it_came_from_and_how_fast(tmp_path: Path):
+    with playing(frames=40) as address:
+        _, episode = record(address, tmp_path / "a.mcap")
+    info = episode.info
+    assert info.kind == "drop"
+    assert info.source == f"camera http://{address}"
+    assert info.notes["size_px"] == "320x240"
+    assert float(info.notes["measured_hz"]) == pytest.approx(60, rel=0.1)
+    assert "closed" in info.notes["ended"]
+
+
+@pytest.mark.parametrize("boundary", ["frame", "--frame", '"frame"', ""])
+@pytest.mark.parametrize("with_length", [True, False])
+def test_senders_differ_in_their_delimiters(tmp_path: Path, boundary: str, with_length: bool):
+    plan = {"frames": 20, "rate_hz": 200.0, "boundary": boundary, "with_length": with_length}
+    with playing(**plan) as address:
+        _, episode = record(address, tmp_path / "a.mcap")
+    assert [frame.data for frame in episode.frames()] == [picture(index) for index in range(20)]
+
+
+def test_a_connection_that_closes_ends_the_recording_with_the_reason(tmp_path: Path):
+    with playing(frames=90, close_after=30) as address:
+        summary, episode = record(address, tmp_path / "a.mcap")
+    assert numbers(episode) == list(range(30))
+    assert "closed by the camera" in summary.ended
+    assert episode.info.notes["ended"] == summary.ended
+
+
+def test_a_camera_that_falls_silent_ends_the_recording_with_the_reason(tmp_path: Path):
+    with playing(frames=90, stall_after=30) as address:
+        _, episode = record(address, tmp_path / "a.mcap", stall_s=2.0)
+    assert numbers(episode) == list(range(30))
+    assert episode.info.notes["ended"] == "no frame for 2.0 s"
+
+
+@pytest.mark.parametrize("with_length", [True, False])
+@pytest.mark.parametrize("cut_lies", [False, True])
+def test_cut_pictures_are_counted_and_skipped(tmp_path: Path, with_length: bool, cut_lies: bool):
+    plan = {"frames": 60, "cut_every": 10, "with_length": with_length, "cut_lies": cut_lies}
+    with playing(**plan) as address:
+        summary, episode = record(address, tmp_path / "a.mcap")
+    assert numbers(episode) == [number for number in range(60) if number % 10 != 9]
+    assert summary.damaged == episode.info.counts["damaged"] == 6
+    assert summary.captured == 54
+
+
+def test_jitter_and_a_slow_start_lose_nothing(tmp_path: Path):
+    with playing(frames=90, jitter_s=0.01, slow_start_s=1.0) as address:
+        summary, episode = record(address, tmp_path / "a.mcap")
+    assert numbers(episode) == list(range(90))
+    assert summary.dropped == 0
+
+
+def test_a_slow_writer_drops_the_newest_and_counts(tmp_path: Path):
+    class SlowBar(Progress):
+        """Takes its time with each frame, as a slow disk does."""
+
+        @contextmanager
+        def bar(self, total: int | None, what: str, unit: str) -> Iterator[Bar]:  # noqa: ARG002
+            yield self
+
+        def set_postfix_str(self, text: str, /, *, refresh: bool) -> None:
+            pass
+
+        def update(self, _done: int, /) -> None:
+            time.sleep(0.05)
+
+    with playing(frames=90) as address:
+        source = open_source(f"http://{address}")
+        summary = record_camera(
+            source,
+            EpisodeInfo(),
+            tmp_path / "a.mcap",
+            limits=Limits(queue_bytes=100_000),
+            overwrite=False,
+            progress=SlowBar(),
+        )
+    episode = read_episode(tmp_path / "a.mcap")
+    seen = numbers(episode)
+    assert summary.captured == 90
+    assert summary.dropped > 20
+    assert summary.captured == summary.written + summary.dropped
+    assert len(seen) == summary.written == episode.info.counts["written"]
+    assert seen == sorted(set(seen))
+    assert seen[:2] == [0, 1]
+
+
+def test_so_many_seconds_by_the_frames_own_clock(tmp_path: Path):
+    with playing(frames=300, rate_hz=50.0) as address:
+        summary, episode = record(address, tmp_path / "a.mcap", seconds=1.0)
+    assert 45 <= summary.written <= 51
+    assert numbers(episode) == list(range(summary.written))
+    assert "ended" not in episode.info.notes
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_real_process_cleanly(tmp_path: Path, number: int):
+    with playing(frames=3000, distinct=200) as address:
+        process = subprocess.Popen(
+            [BIN / "tunenet-record", "--camera", f"http://{address}", "-o", "a.mcap"],
+            cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        active = tmp_path / "a.mcap.active"
+        while not active.exists() or active.stat().st_size < 500_000:
+            time.sleep(0.02)
+        process.send_signal(number)
+        out, err = process.communicate(timeout=20)
+    assert process.returncode == 0, err
+    assert "stopped by a signal" in out
+    assert not err
+    assert [one.name for one in tmp_path.iterdir()] == ["a.mcap"]
+    episode = read_episode(tmp_path / "a.mcap")
+    seen = numbers(episode)
+    assert len(seen) == episode.info.counts["written"] > 5
+    assert seen == [number % 200 for number in range(len(seen))]
+    assert not episode.warnings
+
+
+def test_killed_it_keeps_all_but_the_last_moments(tmp_path: Path):
+    with playing(frames=3000, distinct=200) as address:
+        process = subprocess.Popen(
+            [BIN / "tunenet-record", "--camera", f"http://{address}", "-o", "a.mcap"],
+            cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        )  # fmt: skip
+        active = tmp_path / "a.mcap.active"
+        while not active.exists() or active.stat().st_size < 500_000:
+            time.sleep(0.02)
+        process.kill()
+        process.communicate()
+    seen = numbers(read_episode(active))
+    assert len(seen) > 5
+    assert seen == [number % 200 for number in range(len(seen))]
+
+
+def test_a_terminal_shows_frames_rate_and_losses(tmp_path: Path):
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 30, 100, 0, 0))
+    with playing(frames=60) as address:
+        words = [BIN / "tunenet-record", "--camera", f"http://{address}", "-o", "a.mcap"]
+        subprocess.run(words, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=theirs, timeout=60)
+    os.close(theirs)
+    shown = os.read(ours, 100_000).decode()
+    os.close(ours)
+    assert re.search(r"recording: \d+frame .*frame/s, 0 dropped", shown)
+
+
+def test_user_and_password_by_digest(tmp_path: Path):
+    class Handler(BaseHTTPRequestHandler):
+        """Wants a digest (RFC 2617, without qop, as older cameras do)."""
+
+        def log_message(self, format: str, *_words: object) -> None:  # noqa: A002
+            pass
+
+        def do_GET(self) -> None:
+            given = dict(re.findall(r'(\w+)="([^"]*)"', self.headers.get("Authorization", "")))
+            secrets = ("me:camera:secret", f"GET:{self.path}")
+            first, second = (hashlib.md5(one.encode()).hexdigest() for one in secrets)
+            wanted = hashlib.md5(f"{first}:n0:{second}".encode()).hexdigest()
+            if given.get("response") != wanted:
+                self.send_response(401)
+                self.send_header("WWW-Authenticate", 'Digest realm="camera", nonce="n0"')
+                self.end_headers()
+                return
+            self.send_response(200)
+            self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=frame")
+            self.end_headers()
+            for number in range(5):
+                self.wfile.write(b"--frame\r\n\r\n" + picture(number) + b"\r\n")
+
+    with HTTPServer(("127.0.0.1", 0), Handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        address = f"me:secret@127.0.0.1:{server.server_port}/video"
+        _, episode = record(address, tmp_path / "a.mcap")
+        server.shutdown()
+    assert numbers(episode) == list(range(5))
+
+
+STREAM = b"".join(
+    b"--frame\r\nContent-Type: image/jpeg\r\n" + length + b"\r\n" + picture(number) + b"\r\n"
+    for number, length in enumerate([b"", b"Content-Length: %d\r\n" % len(picture(1)), b""])
+)
+
+
+def parts_of(data: bytes, sizes: list[int], boundary: str = "frame") -> list[bytes]:
+    """The parts of a stream that arrives in pieces of these sizes."""
+    file = io.BytesIO(data)
+    lengths = itertools.chain(sizes, itertools.repeat(100_000))
+
+    def read(most: int) -> bytes:
+        return file.read(min(most, next(lengths)))
+
+    return [part.data for part in MultipartParser(read, boundary, lambda: 0).parts()]
+
+
+@given(st.lists(st.integers(1, 3000), max_size=60), st.sampled_from(["frame", "--frame", ""]))
+def test_it_does_not_matter_how_a_stream_is_cut_on_its_way(sizes: list[int], boundary: str):
+    assert parts_of(STREAM, sizes, boundary) == [picture(number) for number in range(3)]
+
+
+@given(st.binary(max_size=400), st.integers(0, len(STREAM)), st.integers(0, 400))
+def test_damage_costs_the_part_that_it_hits_and_no_more_than_the_next(
+    noise: bytes, at: int, lost: int
+):
+    damaged = STREAM[:at] + noise + STREAM[at + lost :] + STREAM
+    with suppress(CameraError):
+        assert parts_of(damaged, [])[-2:] == [picture(1), picture(2)]
+
+
+@pytest.mark.parametrize("filler", [b"-", b"--frame", b" ", b"\xff\xd9", b"\n", b"--frame\r\n"])
+def test_a_stream_of_nothing_but_delimiters_does_not_hang(filler: bytes):
+    with suppress(CameraError):
+        parts = parts_of(filler * (400_000 // len(filler)), [])
+        assert not any(is_whole(part) for part in parts)
