@@ -77,9 +77,9 @@ def find_filmed_drop(track: Track, start_ns: int) -> FilmedDrop:
         projection, first, last = fit
         quality = projection.residual_px / projection.span_px
         fits.append((quality, projection, first, last))
-        if quality < _GOOD_FIT and _plausible(projection, seconds[last - 1], span):
+        if quality < _GOOD_FIT and _plausible(projection, float(seconds[last - 1]), span):
             break
-    plausible = [fit for fit in fits if _plausible(fit[1], seconds[fit[3] - 1], span)]
+    plausible = [fit for fit in fits if _plausible(fit[1], float(seconds[fit[3] - 1]), span)]
     if not plausible:
         raise NotFoundError(_why_not(len(candidates), bool(fits)))
     _, projection, first, last = min(plausible, key=lambda fit: max(fit[0], _GOOD_FIT))

@@ -153,9 +153,8 @@ def _refine(
     low[3], low[4], high[4] = 1e-3, -3.0, 3.0
     low[5:], high[5:] = -6.0, np.log(2.2)
     begin = np.clip(start, low + 1e-6, high - 1e-6)
-    scale = np.concatenate(
-        [[np.exp(start[1]), 1.0, start[3], start[3], 1.0], np.ones(len(start) - 5)]
-    )
+    scale = np.ones(len(start))
+    scale[0], scale[2:4] = np.exp(start[1]), start[3]
     try:
         found = least_squares(residuals, begin, bounds=(low, high), x_scale=scale, max_nfev=60)
     except (ValueError, np.linalg.LinAlgError):

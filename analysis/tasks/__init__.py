@@ -1,4 +1,4 @@
-"""The experiments that can be tuned from, by name. A new one is one file here, and one line below."""
+"""The experiments, by name. A new one is one file here, and one line below."""
 
 from __future__ import annotations
 

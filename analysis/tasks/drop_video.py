@@ -129,6 +129,6 @@ def _paper_target(film: FilmedDrop) -> views.Observation:
 
 def _paper_warning(film: FilmedDrop) -> str:
     return (
-        f"a fall of {film.drop.drop_height_m:.2f} m by this camera; the paper's network was trained "
-        "on a ball of 0.5 m radius falling from 4 to 5 m, before the paper's cameras"
+        f"a fall of {film.drop.drop_height_m:.2f} m by this camera; the paper's network was "
+        "trained on a ball of 0.5 m radius falling from 4 to 5 m, before the paper's cameras"
     )

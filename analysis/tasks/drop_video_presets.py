@@ -1,4 +1,4 @@
-"""The filmed drop's presets: what a network sees of a simulation and of a video, and its training."""
+"""The filmed drop's presets: what a network sees of simulation and video, and its training."""
 
 from __future__ import annotations
 

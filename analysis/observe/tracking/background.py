@@ -33,7 +33,7 @@ class Background:
         import cv2
 
         same = cv2.convertScaleAbs(picture, alpha=self._gain(picture))
-        return _strongest(cv2.absdiff(same, self.picture))
+        return _strongest(np.asarray(cv2.absdiff(same, self.picture), np.uint8))
 
     def _gain(self, picture: Picture) -> float:
         """How much brighter the still picture is, by most of its pixels."""
@@ -101,6 +101,6 @@ def _strongest(colours: Picture) -> Picture:
 def _threshold(spread: Array) -> Picture:
     import cv2
 
-    spread = cv2.dilate(spread, np.ones((3, 3), np.uint8))
-    wanted = np.maximum(_NOISE_FACTOR * 1.4826 * spread, _LEAST_DIFFERENCE)
+    widened = np.asarray(cv2.dilate(spread, np.ones((3, 3), np.uint8)))
+    wanted = np.maximum(_NOISE_FACTOR * 1.4826 * widened, _LEAST_DIFFERENCE)
     return np.minimum(wanted, 255).astype(np.uint8)

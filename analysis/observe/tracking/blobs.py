@@ -96,7 +96,7 @@ def hsv_blobs(picture: Picture, low: Array, high: Array, allowed: Picture | None
         inside = cv2.inRange(hsv, low, high)
     else:  # red lies on both sides of hue 0
         inside = cv2.inRange(hsv, low, np.array([179, *high[1:]]))
-        inside |= cv2.inRange(hsv, np.array([0, *low[1:]]), high)
+        inside = cv2.bitwise_or(inside, cv2.inRange(hsv, np.array([0, *low[1:]]), high))
     mask = np.asarray(inside > 0, np.uint8)
     if allowed is not None:
         mask &= allowed
@@ -121,7 +121,8 @@ def _ball_share(
 def _components(picture: Picture, mask: Picture, weight: NDArray[np.float32]) -> Blobs:
     import cv2
 
-    mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+    closed = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+    mask = np.asarray(closed, np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
     height, width = mask.shape
     rows: list[tuple[float, ...]] = []
