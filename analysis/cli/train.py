@@ -28,7 +28,7 @@ def build_parser() -> Parser:
     """The command's arguments."""
     parser = Parser("tunenet-train", _DESCRIPTION, _EXAMPLES)
     add = parser.add_argument
-    add("task", choices=["drop"], help="what to learn to tune")
+    add("task", choices=["drop", "drop-video"], help="what to learn to tune")
     add(
         "-o",
         "--output",

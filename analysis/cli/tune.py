@@ -13,8 +13,9 @@ from tunenet_logs.errors import UsageError
 
 _DESCRIPTION = """\
 Find the physical parameters that make a simulator move as a log shows: for a
-dropped ball, its coefficient of restitution. Reads MCAP logs that hold the ball's
-position (geometry_msgs/msg/PoseStamped, any topic), ours or not.
+dropped ball, its coefficient of restitution. Reads videos (.mp4, .mov, ...), and
+MCAP logs that hold the ball's position (geometry_msgs/msg/PoseStamped) or a camera's
+pictures (sensor_msgs/msg/CompressedImage) under any topic, ours or not.
 
 Writes NAME.json (the result) and NAME.rrd (the review, for `rerun NAME.rrd`)
 beside each log, and prints a table. Exit code 1 if a log was rejected."""
@@ -22,6 +23,8 @@ beside each log, and prints a table. Exit code 1 if a log was rejected."""
 _EXAMPLES = """\
   tunenet-tune drop.mcap
   tunenet-tune sample_logs/*.mcap -o tuned --jobs 2
+  tunenet-tune phone.mp4
+  tunenet-tune phone.mp4 --roi 400,0,500,1080 --start 2.5
   tunenet-tune mocap.mcap --topic /vrpn/ball/pose --start 3.5 --end 8
   tunenet-tune drop.mcap --iterations 10 --initial 0.5
   tunenet-tune drop.mcap --weights my-drop.safetensors"""
@@ -37,10 +40,13 @@ def build_parser() -> Parser:
     add(
         "--topic",
         help="channel with the ball's position (default: /ball/pose, one named like a "
-        "ball, else the first in which a ball drops)",
+        "ball, else the first in which a ball drops), or with pictures of it",
     )
     add("--start", type=number(0, 1e9, "s"), metavar="S", help="leave out what comes before [s]")
     add("--end", type=number(0, 1e9, "s"), metavar="S", help="leave out what comes after [s]")
+    _picture_options(
+        parser.add_argument_group("ball in pictures (found by its flight if not told)")
+    )
     add(
         "--preset",
         choices=["default", "paper", "paper-code"],
@@ -66,6 +72,57 @@ def build_parser() -> Parser:
     return parser
 
 
+def _picture_options(group: argparse._ArgumentGroup) -> None:
+    add = group.add_argument
+    add("--roi", type=_box, metavar="X,Y,W,H", help="look for the ball in this box only [px]")
+    add(
+        "--hsv",
+        type=_hsv,
+        metavar="RANGE",
+        help="its colour as H,S,V:H,S,V, lowest and highest; hue 0 to 179 (170 to 10 is red), "
+        "saturation and value 0 to 255",
+    )
+    add(
+        "--ball-at",
+        type=_place,
+        metavar="X,Y,S",
+        help="where it is seen moving [px], and when [s since the first picture]",
+    )
+
+
+def _numbers(text: str, count: int, what: str) -> tuple[float, ...]:
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = ()
+    if len(values) != count or not all(0 <= value < 1e6 for value in values):
+        raise argparse.ArgumentTypeError(f"{text!r} is not {what}")
+    return values
+
+
+def _box(text: str) -> tuple[int, ...]:
+    values = _numbers(text, 4, "a box X,Y,W,H of whole pixels, such as 400,0,500,1080")
+    if any(value != int(value) for value in values) or not values[2] or not values[3]:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a box of whole pixels")
+    return tuple(int(value) for value in values)
+
+
+def _place(text: str) -> tuple[float, ...]:
+    return _numbers(text, 3, "a place and time X,Y,S, such as 310,95.5,1.2")
+
+
+def _hsv(text: str) -> tuple[tuple[int, ...], ...]:
+    ends = text.split(":")
+    what = "a range H,S,V:H,S,V, such as 5,120,80:20,255,255"
+    if len(ends) != 2:
+        raise argparse.ArgumentTypeError(f"{text!r} is not {what}")
+    low, high = (_numbers(end, 3, what) for end in ends)
+    most = (179, 255, 255)
+    if any(value > top for end in (low, high) for value, top in zip(end, most, strict=True)):
+        raise argparse.ArgumentTypeError(f"{text!r}: hue goes to 179, saturation and value to 255")
+    return tuple(int(value) for value in low), tuple(int(value) for value in high)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point of `tunenet-tune`."""
     return run(build_parser(), _tune, argv)
@@ -73,6 +130,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _tune(arguments: argparse.Namespace) -> int:
     from analysis.batch import tune_all
+    from analysis.observe.tracking.track import Hints
     from analysis.report import table
     from analysis.tasks.base import Selection
     from analysis.tuning import Options
@@ -86,7 +144,12 @@ def _tune(arguments: argparse.Namespace) -> int:
         iterations=arguments.iterations,
         initial=arguments.initial,
         weights=arguments.weights,
-        selection=Selection(arguments.topic, arguments.start, arguments.end),
+        selection=Selection(
+            arguments.topic,
+            arguments.start,
+            arguments.end,
+            Hints(arguments.roi, arguments.hsv, arguments.ball_at),
+        ),
     )
     jobs = arguments.jobs or len(os.sched_getaffinity(0))
     progress = Progress(quiet=arguments.quiet)

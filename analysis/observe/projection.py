@@ -150,6 +150,8 @@ def _refine(
 
     low = np.full(len(start), -np.inf)
     high = np.full(len(start), np.inf)
+    low[0], high[0] = start[0] + np.array([-0.3, 0.3]) * np.exp(start[1])
+    low[1], high[1] = start[1] - 1.2, start[1] + 1.2
     low[3], low[4], high[4] = 1e-3, -3.0, 3.0
     low[5:], high[5:] = -6.0, np.log(2.2)
     begin = np.clip(start, low + 1e-6, high - 1e-6)
