@@ -100,7 +100,8 @@ def _one(log: Path, options: Options, name: Path) -> Result:
     try:
         if log.is_file():
             name.parent.mkdir(parents=True, exist_ok=True)
-            if tuning.episode is not None and tuning.episode.signals:
+            episode = tuning.episode
+            if episode is not None and (episode.signals or episode.picture_topics):
                 review = recording
                 with _replacing(review) as partial:
                     write_review(tuning, partial)

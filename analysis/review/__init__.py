@@ -14,7 +14,7 @@ from pathlib import Path
 import rerun as rr
 import rerun.blueprint as rrb
 
-from analysis.review.film import film_aspect, film_view, log_film
+from analysis.review.film import film_aspect, film_view, log_film, log_recorded_film
 from analysis.review.plots import height_view, log_plots, residual_view
 from analysis.review.scene import log_scene, scene_view
 from analysis.review.sending import ITERATION, LOG_TIME, send_scalars
@@ -40,7 +40,8 @@ def write_review(tuning: Tuning, path: Path) -> None:
     stream.log("result", words, static=True)
     if tuning.found is None:
         _log_recorded(stream, tuning)
-        stream.send_blueprint(_blueprint(_recorded_layout()))
+        filmed = log_recorded_film(stream, tuning)
+        stream.send_blueprint(_blueprint(_recorded_layout(filmed)))
     else:
         story = story_of(tuning)
         log_plots(stream, story)
@@ -92,9 +93,11 @@ def _tuning_layout(story: Story, aspect: float | None) -> rrb.Container:
     return rrb.Tabs(overlay, scrub, active_tab=0)
 
 
-def _recorded_layout() -> rrb.Container:
+def _recorded_layout(filmed: bool) -> rrb.Container:
+    positions = rrb.TimeSeriesView(origin="/recorded", name="recorded position [m]")
+    pictures = rrb.Spatial2DView(origin="/film", name="recorded pictures")
     return rrb.Horizontal(
-        rrb.TimeSeriesView(origin="/recorded", name="recorded position [m]"),
+        pictures if filmed else positions,
         rrb.TextDocumentView(origin="/result", name="result"),
         column_shares=[3, 2],
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 
 import numpy as np
 import rerun as rr
@@ -24,6 +25,7 @@ _CORNERS = 24
 _MOST_BYTES = 48 * 1024 * 1024
 _REDUCED_PX = 640
 _QUALITY = 85
+_MOST_RECORDED = 240
 
 
 def log_film(stream: rr.RecordingStream, tuning: Tuning, story: Story) -> None:
@@ -47,6 +49,25 @@ def log_film(stream: rr.RecordingStream, tuning: Tuning, story: Story) -> None:
         width = 1.8 if k == len(story.simulated) - 1 else 1.0
         where = projected_places(film, curve, story.drop_height_m)
         _log_balls(stream, f"film/k{k}", seconds, where, usual, curve.color, width)
+
+
+def log_recorded_film(stream: rr.RecordingStream, tuning: Tuning) -> bool:
+    """Send what the pictures show where no drop was found in them; False where there are none."""
+    episode = tuning.episode
+    if episode is None or episode.signals or not episode.picture_topics:
+        return False
+    total = sum(one.messages for one in episode.channels if one.topic == episode.picture_topics[0])
+    every = max(1, -(-total // _MOST_RECORDED))
+    frames: list[Frame] = []
+    with suppress(LogError):  # the pictures before the damage are shown
+        for index, frame in enumerate(episode.frames()):
+            if index % every == 0:
+                with suppress(LogError):
+                    frames.append(_reduced(frame))
+    if frames:
+        start_ns = frames[0].stamp_ns
+        _send_pictures(stream, frames, start_ns)
+    return bool(frames)
 
 
 def film_view(story: Story) -> rrb.View:
@@ -111,13 +132,17 @@ def _log_pictures(stream: rr.RecordingStream, tuning: Tuning, film: FilmedDrop) 
     frames = list(_frames_of(tuning, film))
     if not frames:
         return
-    seconds = np.array([(frame.stamp_ns - tuning.found.start_ns) * 1e-9 for frame in frames])
+    _send_pictures(stream, frames, tuning.found.start_ns)
+    scale = film.track.size_px[0] / image_size(frames[0].data)[0]
+    stream.log("film/picture", rr.Transform3D(scale=scale), static=True)
+
+
+def _send_pictures(stream: rr.RecordingStream, frames: list[Frame], start_ns: int) -> None:
+    seconds = np.array([(frame.stamp_ns - start_ns) * 1e-9 for frame in frames])
     columns = rr.EncodedImage.columns(
         blob=[frame.data for frame in frames], media_type=["image/jpeg"] * len(frames)
     )
     stream.send_columns("film/picture", indexes=[at_seconds(seconds)], columns=columns)
-    scale = film.track.size_px[0] / image_size(frames[0].data)[0]
-    stream.log("film/picture", rr.Transform3D(scale=scale), static=True)
 
 
 def _frames_of(tuning: Tuning, film: FilmedDrop) -> Iterator[Frame]:
