@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from recorders.filmed_drop import FilmOrder, film_drop
 from recorders.session import record_episode
 from recorders.simulated_drop import DropOrder, simulate_drop
 from tunenet_logs.progress import Progress
@@ -35,6 +36,28 @@ def record(path: Path, **order: object) -> Path:
     episode = simulate_drop(DropOrder(**order))  # type: ignore[arg-type]
     record_episode(episode, path, overwrite=False, progress=Progress(quiet=True))
     return path
+
+
+def film(path: Path, picture: FilmOrder | None = None, **order: object) -> Path:
+    """Simulate a drop, film it and record the pictures."""
+    episode = film_drop(DropOrder(**order), picture or FilmOrder())  # type: ignore[arg-type]
+    record_episode(episode, path, overwrite=False, progress=Progress(quiet=True))
+    return path
+
+
+def real(name: str) -> Path:
+    """A recording that nobody here made; without it, the test is skipped."""
+    path = ROOT.parent / "shared" / "real" / name
+    if not path.exists():
+        pytest.skip(f"the real recording {name} is not beside the project")
+    return path
+
+
+@pytest.fixture(scope="session")
+def filmed_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A filmed drop of ours: restitution 0.7 from 1 m, 60 Hz, 3 s."""
+    path = tmp_path_factory.mktemp("film") / "filmed.mcap"
+    return film(path, restitution=0.7, height_m=1.0, seconds=3.0, hold_s=0.3, seed=5)
 
 
 @pytest.fixture

@@ -13,6 +13,8 @@ Array = NDArray[np.float64]
 _LEAST_SPAN_PX = 40
 _CLEAR_HOP = 6
 _SEEN = 0.8
+_REJECT_SEEN = 0.6
+_LOOKED_AT = 4.0
 _RESIDUAL = 0.02
 _REJECT_RESIDUAL = 0.04
 _PERSPECTIVE = 1.4
@@ -36,8 +38,9 @@ def film_checks(film: FilmedDrop, restitution: float) -> list[Check]:
         Check(
             "stays in view",
             seen > _SEEN,
-            f"found in {100 * seen:.0f} % of the pictures of fall and first flight "
+            f"found in {100 * seen:.0f} % of the pictures of the drop "
             f"(wanted: {100 * _SEEN:.0f} or more)",
+            fatal=seen < _REJECT_SEEN,
         ),
         Check(
             "pictures differ",
@@ -95,12 +98,12 @@ def scale_checks(
 
 
 def _seen(film: FilmedDrop) -> float:
-    """Share of the pictures, from mid-fall to the first landing, in which the ball is found."""
+    """Share of the pictures, from mid-fall on for four fall times, in which the ball is found."""
     fit = film.projection
-    landing_s = fit.impact_s + fit.fall_time_s * (fit.impacts[1] if len(fit.impacts) > 1 else 1.0)
+    end_s = min(float(film.drop.seconds[-1]), fit.impact_s + _LOOKED_AT * fit.fall_time_s)
     origin_s = film.drop.seconds[0] - film.track.stamps_ns[film.used][0] * 1e-9
     seconds = film.track.stamps_ns * 1e-9 + origin_s
-    wanted = (seconds > fit.impact_s - fit.fall_time_s / 2) & (seconds < landing_s)
+    wanted = (seconds > fit.impact_s - fit.fall_time_s / 2) & (seconds <= end_s)
     return float(np.mean(film.track.found[wanted])) if wanted.any() else 0.0
 
 

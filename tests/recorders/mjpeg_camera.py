@@ -21,6 +21,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from tunenet_logs.reader import read_episode
+
 ROOT = Path(__file__).resolve().parents[2]
 _BLOCK = 16
 _BITS = 16
@@ -62,6 +64,7 @@ class Plan:
     user: str = ""
     sent: str = ""
     distinct: int = 1 << _BITS
+    log: str = ""
 
 
 def picture(number: int, size: tuple[int, int] = (320, 240)) -> bytes:
@@ -151,7 +154,10 @@ def main() -> None:
     plan = Plan(**{**words, "size": tuple(words["size"])})
     _Handler.plan = plan
     count = min(plan.frames, plan.distinct)
-    _Handler.pictures = [picture(number, plan.size) for number in range(count)]
+    if plan.log:
+        _Handler.pictures = [frame.data for frame in read_episode(Path(plan.log)).frames()]
+    else:
+        _Handler.pictures = [picture(number, plan.size) for number in range(count)]
     server = _Server(("127.0.0.1", 0), _Handler)
     print(server.server_port, flush=True)
     server.serve_forever()

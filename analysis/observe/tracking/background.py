@@ -49,6 +49,11 @@ def still_background(samples: Sequence[Picture]) -> Background:
     Args:
         samples: uint8, shape (H, W, 3) each.
     """
+    picture, spread = _median_and_spread(samples)
+    return Background(picture, _threshold(spread))
+
+
+def _median_and_spread(samples: Sequence[Picture]) -> tuple[Picture, Array]:
     stack = np.stack(samples)
     median = np.median(stack, axis=0).astype(np.uint8)
     spread = np.empty(median.shape[:2], np.float32)
@@ -57,7 +62,7 @@ def still_background(samples: Sequence[Picture]) -> Background:
         spread[row] = np.median(
             np.maximum(np.maximum(off[..., 0], off[..., 1]), off[..., 2]), axis=0
         )
-    return Background(median, _threshold(spread))
+    return median, spread
 
 
 def without_ball(
@@ -70,8 +75,7 @@ def without_ball(
         places_px: where the ball is in each, shape (N, 2).
         radius_px: of what to leave out.
     """
-    plain = still_background(samples)
-    picture = plain.picture.copy()
+    picture, spread = _median_and_spread(samples)
     rows, columns = np.mgrid[: picture.shape[0], : picture.shape[1]]
     hidden = np.zeros((len(samples), *picture.shape[:2]), dtype=bool)
     for at, (x, y) in enumerate(places_px):
@@ -81,8 +85,10 @@ def without_ball(
     if touched.any():
         values = np.stack([sample[touched] for sample in samples]).astype(np.float32)
         values[hidden[:, touched]] = np.nan
-        picture[touched] = np.nanmedian(values, axis=0).astype(np.uint8)
-    return Background(picture, plain.threshold)
+        middle = np.nanmedian(values, axis=0)
+        picture[touched] = middle.astype(np.uint8)
+        spread[touched] = np.nanmedian(np.abs(values - middle).max(axis=2), axis=0)
+    return Background(picture, _threshold(spread))
 
 
 def sampled(pictures: Iterable[Picture], wanted: set[int]) -> list[Picture]:
