@@ -9,12 +9,14 @@ from datetime import datetime
 from pathlib import Path
 
 from recorders.camera.options import camera_options, record_camera_as_asked
-from tunenet_logs.commandline import Parser, number, run, whole
+from recorders.drop_options import drop_options, record_drop_as_asked
+from tunenet_logs.commandline import Parser, number, run, size_px
 
 _DESCRIPTION = """\
 Record an episode to an MCAP log: a real ball that is dropped before a camera or in a
 video (--camera), or a simulated one (--simulate drop: PyBullet, with contact settings
-in which the ball has the restitution that was set). Ctrl-C ends a recording cleanly."""
+in which the ball has the restitution that was set; --render films it). Ctrl-C ends a
+recording cleanly."""
 
 _EXAMPLES = """\
   tunenet-record --camera                              (the first webcam, until Ctrl-C)
@@ -26,6 +28,7 @@ _EXAMPLES = """\
   tunenet-record --simulate drop --restitution 0.75 --height 1.2 -o drop.mcap
   tunenet-record --simulate drop --seed 7              (draws restitution and height)
   tunenet-record --simulate drop --rate 240 --noise 0.001 --hold 0.5 -o mocap.mcap
+  tunenet-record --simulate drop --render --seed 7     (the same, filmed)
   tunenet-record --simulate drop --preset paper        (the paper's 60 Hz settings)"""
 
 
@@ -44,7 +47,7 @@ def build_parser() -> Parser:
     source.add_argument("--simulate", choices=["drop"], help="what to simulate")
     _shared_options(parser.add_argument_group("both"))
     camera = camera_options(parser.add_argument_group("camera"))
-    drop = _drop_options(parser.add_argument_group("simulated drop"))
+    drop = drop_options(parser.add_argument_group("simulated drop"))
     parser.set_defaults(camera_only=camera, drop_only=drop)
     return parser
 
@@ -71,57 +74,14 @@ def _shared_options(group: argparse._ArgumentGroup) -> None:
         help="how long; simulated, after the release (default: 400/60, the paper's; "
         "a camera: until it ends or Ctrl-C)",
     )
+    add(
+        "--size",
+        type=size_px,
+        metavar="WxH",
+        help="of the picture [px], of a plugged-in camera or a rendered one (there: 320x240)",
+    )
     add("--overwrite", action="store_true", help="replace an existing log")
     add("--quiet", action="store_true", help="no progress bar")
-
-
-def _drop_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
-    """Add the options that are the simulated drop's alone; None where they are not given."""
-    add = group.add_argument
-    return [
-        add(
-            "--restitution",
-            type=number(0, 1),
-            metavar="E",
-            help="coefficient of restitution, 0 to 1 (default: drawn from .1 to .95)",
-        ),
-        add(
-            "--height",
-            type=number(0.01, 1000, "m"),
-            metavar="M",
-            help="drop height, from the ball's underside to the table [m] "
-            "(default: drawn, .3 to 5)",
-        ),
-        add(
-            "--radius",
-            type=number(0.001, 10, "m"),
-            metavar="M",
-            help="of the ball [m] (default: .05; preset paper: .5)",
-        ),
-        add(
-            "--hold",
-            type=number(0, 600, "s"),
-            metavar="S",
-            help="hold the ball before letting go [s] (default: 0)",
-        ),
-        add(
-            "--noise",
-            type=number(0, 1, "m"),
-            metavar="M",
-            help="standard deviation of the sensor's noise [m] (default: 0)",
-        ),
-        add(
-            "--preset",
-            choices=["default", "paper"],
-            help="contact settings: calibrated, or PyBullet's defaults at 60 Hz as in the paper",
-        ),
-        add(
-            "--seed",
-            type=whole(0, 2**32 - 1),
-            metavar="N",
-            help="for what is drawn: restitution, height, noise (default: 0)",
-        ),
-    ]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -135,39 +95,11 @@ def main(argv: Sequence[str] | None = None) -> int:
             if getattr(arguments, action.dest) is not None:
                 parser.error(f"{action.option_strings[0]} does not go with {source}; leave it out")
         path = arguments.output or Path(f"drop_{datetime.now():%Y%m%d_%H%M%S}.mcap")
-        recorded = (record_camera_as_asked if is_camera else _record_drop)(arguments, path)
+        recorded = (record_camera_as_asked if is_camera else record_drop_as_asked)(arguments, path)
         print(f"{path}: {recorded}")
         return 0
 
     return run(parser, record, argv)
-
-
-def _record_drop(arguments: argparse.Namespace, path: Path) -> str:
-    """Record a simulated drop; what to say of it on the last line."""
-    from recorders.session import record_episode
-    from recorders.simulated_drop import DropOrder, simulate_drop
-    from tunenet_logs.progress import Progress
-
-    given = {
-        "restitution": arguments.restitution,
-        "height_m": arguments.height,
-        "radius_m": arguments.radius,
-        "rate_hz": arguments.rate,
-        "seconds": arguments.seconds,
-        "hold_s": arguments.hold,
-        "noise_m": arguments.noise,
-        "preset": arguments.preset,
-        "seed": arguments.seed,
-    }
-    order = DropOrder(**{name: value for name, value in given.items() if value is not None})
-    episode = simulate_drop(order)
-    progress = Progress(quiet=arguments.quiet)
-    summary = record_episode(episode, path, overwrite=arguments.overwrite, progress=progress)
-    truth, rig = episode.info.truth, episode.info.rig
-    return (
-        f"restitution {truth['restitution']:.4f}, drop height {rig['drop_height_m']:.3f} m; "
-        + summary.in_words("samples")
-    )
 
 
 if __name__ == "__main__":

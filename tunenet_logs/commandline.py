@@ -98,3 +98,12 @@ def whole(low: int, high: int) -> Callable[[str], int]:
         return value
 
     return parse
+
+
+def size_px(text: str) -> tuple[int, int]:
+    """An argparse type: WxH, a picture's size [px]."""
+    width, _, height = text.lower().partition("x")
+    parts = [int(part) if part.isascii() and part.isdecimal() else 0 for part in (width, height)]
+    if not all(0 < part < 100_000 for part in parts):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a size in pixels, such as 1280x720")
+    return parts[0], parts[1]

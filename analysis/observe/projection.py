@@ -23,6 +23,9 @@ PERSPECTIVE_SD = 0.7
 _RATIO_SD = 0.05
 _LOSS_SCALE = 2.5
 _LEAST_NOISE_PX = 0.05
+_ROUGHLY, _EXACTLY = (14, 1e-3), (40, 1e-7)
+"""Most steps, and the gain that ends them."""
+
 _GOOD_COST = 1.0
 """Half the squared residuals a sample, in noise: other starts can hardly do better."""
 
@@ -108,11 +111,13 @@ def fit_projection(
     best: tuple[float, Array, Array] | None = None
     for stretch, perspective in product((1.0, 0.75, 1.35), (0.0, 0.6, -0.6)):
         start = _start(seconds, places_px, impacts_s, fall_time_s * stretch, perspective)
-        found = _refine(seconds, places_px, start, noise_px)
+        found = _refine(seconds, places_px, start, noise_px, _ROUGHLY)
         if found is not None and (best is None or found[0] < best[0]):
             best = found
         if best is not None and best[0] < _GOOD_COST * len(seconds):
             break
+    if best is not None:
+        best = _refine(seconds, places_px, best[1], noise_px, _EXACTLY)
     return None if best is None else _unpack(seconds, places_px, best[1], best[2])
 
 
@@ -133,7 +138,7 @@ def _start(
 
 
 def _refine(
-    seconds: Array, places_px: Array, start: Array, noise_px: float
+    seconds: Array, places_px: Array, start: Array, noise_px: float, effort: tuple[int, float]
 ) -> tuple[float, Array, Array] | None:
     """Robust least squares from one start: cost, parameters, their covariance."""
     from scipy.optimize import least_squares
@@ -158,7 +163,10 @@ def _refine(
     scale = np.ones(len(start))
     scale[0], scale[2:4] = np.exp(start[1]), start[3]
     try:
-        found = least_squares(residuals, begin, bounds=(low, high), x_scale=scale, max_nfev=60)
+        most, tolerance = effort
+        found = least_squares(
+            residuals, begin, bounds=(low, high), x_scale=scale, max_nfev=most, ftol=tolerance
+        )
     except (ValueError, np.linalg.LinAlgError):
         return None
     covariance = np.linalg.pinv(found.jac.T @ found.jac)

@@ -14,6 +14,7 @@ from pathlib import Path
 import rerun as rr
 import rerun.blueprint as rrb
 
+from analysis.review.film import film_aspect, film_view, log_film
 from analysis.review.plots import height_view, log_plots, residual_view
 from analysis.review.scene import log_scene, scene_view
 from analysis.review.sending import ITERATION, LOG_TIME, send_scalars
@@ -45,7 +46,11 @@ def write_review(tuning: Tuning, path: Path) -> None:
         log_plots(stream, story)
         log_scene(stream, story)
         log_sheets(stream, story)
-        stream.send_blueprint(_blueprint(_tuning_layout(story)))
+        aspect = None
+        if tuning.found.film is not None:
+            log_film(stream, tuning, story)
+            aspect = film_aspect(tuning)
+        stream.send_blueprint(_blueprint(_tuning_layout(story, aspect)))
     stream.flush()
     path.write_bytes(memory.drain_as_bytes())
     stream.disconnect()
@@ -61,14 +66,23 @@ def _log_recorded(stream: rr.RecordingStream, tuning: Tuning) -> None:
             send_scalars(stream, entity, signal.seconds, signal.values[:, index])
 
 
-def _tuning_layout(story: Story) -> rrb.Container:
+def _tuning_layout(story: Story, aspect: float | None) -> rrb.Container:
+    """Two tabs, to play and to scrub; with the video first where there is one.
+
+    Args:
+        story: what is told.
+        aspect: width over height of the video; None without one.
+    """
     result = rrb.TextDocumentView(origin="/result", name="result")
-    overlay = rrb.Horizontal(
-        rrb.Vertical(scene_view(story), height_view(story)),
-        rrb.Vertical(result, residual_view(story), convergence_view(), row_shares=[5, 3, 3]),
-        column_shares=[3, 2],
-        name=f"overlay (timeline {LOG_TIME})",
-    )
+    words = rrb.Vertical(result, residual_view(story), convergence_view(), row_shares=[5, 3, 3])
+    curves = rrb.Vertical(scene_view(story), height_view(story))
+    name = f"overlay (timeline {LOG_TIME})"
+    if aspect is None:
+        overlay = rrb.Horizontal(curves, words, column_shares=[3, 2], name=name)
+    else:
+        share = min(max(3 * aspect, 1.2), 4.0)
+        video = film_view(story)
+        overlay = rrb.Horizontal(video, curves, words, column_shares=[share, 3, 3], name=name)
     scrub = rrb.Horizontal(
         height_sheet_view(),
         rrb.Vertical(step_view(), convergence_view()),

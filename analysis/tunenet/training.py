@@ -57,6 +57,7 @@ def train(network: Network, pairs: PairSet, recipe: Recipe, seed: int, progress:
     bank = (pairs.observations.reshape(len(pairs.values), -1) - scaling.input_offset) * (
         scaling.input_gain
     )
+    shown = torch.from_numpy(np.isfinite(bank))
     noise = float(np.mean(recipe.noise * scaling.input_gain))
     wanted = (pairs.residuals - scaling.output_offset) / scaling.output_gain
     outputs = wanted.shape[1]
@@ -64,7 +65,7 @@ def train(network: Network, pairs: PairSet, recipe: Recipe, seed: int, progress:
         name: torch.tensor(value, dtype=torch.float32, requires_grad=True)
         for name, value in initial_weights(network, bank.shape[1], outputs, rng).items()
     }
-    inputs = torch.tensor(bank, dtype=torch.float32)
+    inputs = torch.tensor(np.nan_to_num(bank), dtype=torch.float32)
     residuals = torch.tensor(wanted, dtype=torch.float32)
     proposed, target = torch.from_numpy(pairs.proposed), torch.from_numpy(pairs.target)
     batches = int(np.ceil(len(proposed) / recipe.batch))
@@ -74,7 +75,9 @@ def train(network: Network, pairs: PairSet, recipe: Recipe, seed: int, progress:
         for _ in range(recipe.epochs):
             order = torch.randperm(len(proposed), generator=generator)
             for chosen in order.split(recipe.batch):
-                o_p, o_t = inputs[proposed[chosen]], inputs[target[chosen]]
+                first, second = proposed[chosen], target[chosen]
+                both = shown[first] & shown[second]  # as `Scaling.inputs` has it
+                o_p, o_t = inputs[first] * both, inputs[second] * both
                 o_p, o_t = _augment(o_p, o_t, noise, recipe.cut_share, generator)
                 found = network.residual(weights, o_p, o_t)
                 loss = _loss(recipe.loss, found, residuals[chosen])
@@ -102,11 +105,11 @@ def _scaling(pairs: PairSet, how: str) -> Scaling:
     if how == "raw":
         return Scaling(none, one, none, one)
     if how == "unit":
-        low, high = np.array([flat.min()]), np.array([flat.max()])
+        low, high = np.array([np.nanmin(flat)]), np.array([np.nanmax(flat)])
         least, most = pairs.residuals.min(axis=0), pairs.residuals.max(axis=0)
         return Scaling(low, 1 / (high - low), least, most - least)
-    spread = flat.std(axis=0).mean()
-    return Scaling(flat.mean(axis=0), np.array([1 / spread]), none, one)
+    spread = np.nanstd(flat, axis=0).mean()
+    return Scaling(np.nanmean(flat, axis=0), np.array([1 / spread]), none, one)
 
 
 def _optimizer(recipe: Recipe, weights: list[torch.Tensor], batches: int) -> tuple[Any, Any]:

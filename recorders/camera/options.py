@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,7 +16,6 @@ from tunenet_logs.progress import Progress
 if TYPE_CHECKING:
     from recorders.camera.preview import Preview
 
-_SIZE = re.compile(r"([1-9]\d{0,4})[xX]([1-9]\d{0,4})")
 _LONGEST_NAME = 100
 
 
@@ -37,7 +35,6 @@ def camera_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
             metavar="S",
             help="end when a camera delivers nothing for so long [s] (default: 5)",
         ),
-        add("--size", type=_size, metavar="WxH", help="of a plugged-in camera's picture [px]"),
         add(
             "--exposure",
             type=number(0.1, 1000, "ms"),
@@ -139,13 +136,6 @@ def _preview(arguments: argparse.Namespace, is_live: bool) -> Iterator[Preview |
         yield preview
     finally:
         preview.close()
-
-
-def _size(text: str) -> tuple[int, int]:
-    found = _SIZE.fullmatch(text)
-    if found is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a size in pixels, such as 1280x720")
-    return int(found.group(1)), int(found.group(2))
 
 
 def _name(text: str) -> str:

@@ -1,0 +1,151 @@
+"""The video, with the tracked ball, its trail, and the simulated balls projected over it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import NDArray
+
+from analysis.observe.film import FilmedDrop
+from analysis.review.sending import at_seconds, screen_radius
+from analysis.review.story import OBSERVED, Curve, Story
+from analysis.tuning import Tuning
+from tunenet_logs.episode import Frame
+from tunenet_logs.errors import LogError
+from tunenet_logs.images import image_size
+
+Array = NDArray[np.float64]
+
+_TRAIL_S = 0.35
+_CORNERS = 24
+_MOST_BYTES = 48 * 1024 * 1024
+_REDUCED_PX = 640
+_QUALITY = 85
+
+
+def log_film(stream: rr.RecordingStream, tuning: Tuning, story: Story) -> None:
+    """Send the entities of `film_view`: pictures, track and simulated balls, on the log's time."""
+    film: FilmedDrop = tuning.found.film
+    _log_pictures(stream, tuning, film)
+    seconds = film.drop.seconds
+    places = film.track.places_px[film.used]
+    radii = film.track.radius_px[film.used]
+    _log_balls(stream, "film/observed", seconds, places, radii, OBSERVED, 1.6)
+    begin = np.searchsorted(seconds, seconds - _TRAIL_S)
+    trails = [places[first : index + 1] for index, first in enumerate(begin)]
+    style = rr.LineStrips2D.from_fields(
+        colors=[(*OBSERVED, 150)], radii=screen_radius(0.8), draw_order=8.0
+    )
+    stream.log("film/trail", style, static=True)
+    columns = rr.LineStrips2D.columns(strips=[[trail] for trail in trails])
+    stream.send_columns("film/trail", indexes=[at_seconds(seconds)], columns=columns)
+    usual = np.full(len(seconds), float(np.nanmedian(radii)))
+    for k, curve in enumerate(story.simulated):
+        width = 1.8 if k == len(story.simulated) - 1 else 1.0
+        where = projected_places(film, curve, story.drop_height_m)
+        _log_balls(stream, f"film/k{k}", seconds, where, usual, curve.color, width)
+
+
+def film_view(story: Story) -> rrb.View:
+    """The video under the circles of observed and simulated balls."""
+    last = len(story.simulated) - 1
+    return rrb.Spatial2DView(
+        origin="/film", name=f"video: observed (white), simulated k=0 to k={last} (cold to warm)"
+    )
+
+
+def film_aspect(tuning: Tuning) -> float:
+    """Width over height of the picture."""
+    width, height = tuning.found.film.track.size_px
+    return width / height
+
+
+def projected_places(film: FilmedDrop, curve: Curve, drop_height_m: float) -> Array:
+    """Where the camera would see a simulated ball at the times of the observed one [px].
+
+    The projection knows the image's vertical alone; sideways the ball goes as the observed one.
+
+    Args:
+        film: the drop as it was filmed.
+        curve: heights above contact over the log's time.
+        drop_height_m: of the drop.
+
+    Returns:
+        Shape (T, 2).
+    """
+    seconds, places = film.drop.seconds, film.track.places_px[film.used]
+    sideways = np.array([film.down_px[1], -film.down_px[0]])
+    across = places @ sideways
+    drift = np.polyfit(seconds, across, 1)
+    heights = np.interp(seconds, curve.seconds, curve.heights_m) / drop_height_m
+    along = film.projection.places_px(heights)
+    return np.outer(-along, film.down_px) + np.outer(np.polyval(drift, seconds), sideways)
+
+
+def _log_balls(
+    stream: rr.RecordingStream,
+    entity: str,
+    seconds: Array,
+    places: Array,
+    radii: Array,
+    colour: tuple[int, int, int],
+    width: float,
+) -> None:
+    """A circle around the ball at each time: a disc would hide it."""
+    style = rr.LineStrips2D.from_fields(
+        colors=[colour], radii=screen_radius(width / 2), draw_order=10.0 + width
+    )
+    stream.log(entity, style, static=True)
+    turns = np.linspace(0, 2 * np.pi, _CORNERS + 1)
+    circle = np.column_stack([np.cos(turns), np.sin(turns)])
+    strips = places[:, None] + np.maximum(radii, 3.0)[:, None, None] * circle + 0.5
+    columns = rr.LineStrips2D.columns(strips=[[strip] for strip in strips])
+    stream.send_columns(entity, indexes=[at_seconds(seconds)], columns=columns)
+
+
+def _log_pictures(stream: rr.RecordingStream, tuning: Tuning, film: FilmedDrop) -> None:
+    """The pictures of the drop as they were recorded; bare pixels, or far too many, reduced."""
+    frames = list(_frames_of(tuning, film))
+    if not frames:
+        return
+    seconds = np.array([(frame.stamp_ns - tuning.found.start_ns) * 1e-9 for frame in frames])
+    columns = rr.EncodedImage.columns(
+        blob=[frame.data for frame in frames], media_type=["image/jpeg"] * len(frames)
+    )
+    stream.send_columns("film/picture", indexes=[at_seconds(seconds)], columns=columns)
+    scale = film.track.size_px[0] / image_size(frames[0].data)[0]
+    stream.log("film/picture", rr.Transform3D(scale=scale), static=True)
+
+
+def _frames_of(tuning: Tuning, film: FilmedDrop) -> Iterator[Frame]:
+    assert tuning.episode is not None
+    stamps = film.track.stamps_ns[film.used]
+    shown: list[Frame] = []
+    for frame in tuning.episode.frames(tuning.found.topic):
+        if not stamps[0] <= frame.stamp_ns <= stamps[-1]:
+            continue
+        try:
+            picture = frame if frame.encoding == "jpeg" else _reduced(frame)
+            image_size(picture.data)
+        except LogError:
+            continue
+        shown.append(picture)
+    if sum(len(frame.data) for frame in shown) > _MOST_BYTES:
+        shown = [_reduced(frame) for frame in shown]
+    return iter(shown)
+
+
+def _reduced(frame: Frame) -> Frame:
+    import cv2
+
+    picture = frame.decode()
+    height, width = picture.shape[:2]
+    scale = min(1.0, _REDUCED_PX / max(height, width))
+    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+    small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    bgr = cv2.cvtColor(small, cv2.COLOR_RGB2BGR)
+    _, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    return Frame(frame.stamp_ns, "jpeg", data.tobytes())

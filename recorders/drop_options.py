@@ -1,0 +1,199 @@
+"""What `tunenet-record --simulate drop` can be told, and what it does with it."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tunenet_logs.commandline import number, whole
+from tunenet_logs.errors import UsageError
+
+if TYPE_CHECKING:
+    from recorders.filmed_drop import FilmOrder
+    from recorders.simulated_drop import DropOrder
+
+
+def drop_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
+    """Add the options that are the simulated drop's alone; None where they are not given."""
+    add = group.add_argument
+    return [
+        add(
+            "--restitution",
+            type=number(0, 1),
+            metavar="E",
+            help="coefficient of restitution, 0 to 1 (default: drawn from .1 to .95)",
+        ),
+        add(
+            "--height",
+            type=number(0.01, 1000, "m"),
+            metavar="M",
+            help="drop height, from the ball's underside to the table [m] "
+            "(default: drawn, .3 to 5; with --render .4 to 2)",
+        ),
+        add(
+            "--radius",
+            type=number(0.001, 10, "m"),
+            metavar="M",
+            help="of the ball [m] (default: .05; preset paper: .5)",
+        ),
+        add(
+            "--hold",
+            type=number(0, 600, "s"),
+            metavar="S",
+            help="hold the ball before letting go [s] (default: 0)",
+        ),
+        add(
+            "--noise",
+            type=number(0, 1, "m"),
+            metavar="M",
+            help="standard deviation of the sensor's noise [m] (default: 0)",
+        ),
+        add(
+            "--preset",
+            choices=["default", "paper"],
+            help="contact settings: calibrated, or PyBullet's defaults at 60 Hz as in the paper",
+        ),
+        add(
+            "--seed",
+            type=whole(0, 2**32 - 1),
+            metavar="N",
+            help="for what is drawn: restitution, height, noise, camera (default: 0)",
+        ),
+        add(
+            "--render",
+            action="store_true",
+            default=None,
+            help="film it: the log holds a camera's pictures instead of positions",
+        ),
+        *_film_options(group),
+    ]
+
+
+def _film_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
+    """Those of `--render` alone."""
+    add = group.add_argument
+    return [
+        add(
+            "--camera-at",
+            type=_point,
+            metavar="X,Y,Z",
+            help="where the camera stands [m]; the ball falls at 0,0 (default: drawn, as the "
+            "paper does, in drop heights)",
+        ),
+        add(
+            "--look-at",
+            type=_point,
+            metavar="X,Y,Z",
+            help="what it looks at [m] (default: 0.44 drop heights over the table)",
+        ),
+        add(
+            "--fov",
+            type=number(1, 150, "degrees"),
+            metavar="DEG",
+            help="its field of view, from the upper to the lower edge (default: 60)",
+        ),
+        add(
+            "--blur",
+            type=number(0, 1000, "ms"),
+            metavar="MS",
+            help="how long its shutter is open [ms] (default: 0)",
+        ),
+        add(
+            "--pixel-noise",
+            type=number(0, 100),
+            metavar="N",
+            help="standard deviation of a pixel, of 255 (default: 2)",
+        ),
+        add(
+            "--lost",
+            type=number(0, 0.9),
+            metavar="SHARE",
+            help="share of the frames that are missing (default: 0)",
+        ),
+    ]
+
+
+def record_drop_as_asked(arguments: argparse.Namespace, path: Path) -> str:
+    """Record a simulated drop; what to say of it on the last line.
+
+    Raises:
+        TuneNetError: a value that makes no sense, or a log that cannot be written.
+    """
+    from recorders.session import record_episode
+    from recorders.simulated_drop import DropOrder, simulate_drop
+    from tunenet_logs.progress import Progress
+
+    given = {
+        "restitution": arguments.restitution,
+        "height_m": arguments.height,
+        "radius_m": arguments.radius,
+        "rate_hz": arguments.rate,
+        "seconds": arguments.seconds,
+        "hold_s": arguments.hold,
+        "noise_m": arguments.noise,
+        "preset": arguments.preset,
+        "seed": arguments.seed,
+    }
+    order = DropOrder(**{name: value for name, value in given.items() if value is not None})
+    if arguments.render:
+        from recorders.filmed_drop import film_drop
+
+        episode = film_drop(order, _film_order(arguments, order))
+    else:
+        _refuse_film_options(arguments)
+        episode = simulate_drop(order)
+    progress = Progress(quiet=arguments.quiet)
+    summary = record_episode(episode, path, overwrite=arguments.overwrite, progress=progress)
+    truth, rig = episode.info.truth, episode.info.rig
+    return (
+        f"restitution {truth['restitution']:.4f}, drop height {rig['drop_height_m']:.3f} m; "
+        + summary.in_words("frames" if arguments.render else "samples")
+    )
+
+
+_FILM_OPTIONS = ("camera_at", "look_at", "fov", "blur", "pixel_noise", "lost", "size")
+
+
+def _refuse_film_options(arguments: argparse.Namespace) -> None:
+    for name in _FILM_OPTIONS:
+        if getattr(arguments, name) is not None:
+            option = "--" + name.replace("_", "-")
+            raise UsageError(f"{option} is for a drop that is filmed; add --render")
+
+
+def _film_order(arguments: argparse.Namespace, order: DropOrder) -> FilmOrder:
+    from recorders.filmed_drop import FilmOrder
+    from recorders.simulators.pinhole import PinholeCamera
+
+    given = {
+        "size_px": arguments.size,
+        "fov_deg": arguments.fov,
+        "noise": arguments.pixel_noise,
+        "lost_share": arguments.lost,
+        "exposure_s": None if arguments.blur is None else arguments.blur * 1e-3,
+    }
+    film = FilmOrder(**{name: value for name, value in given.items() if value is not None})
+    if arguments.camera_at is None:
+        if arguments.look_at is not None:
+            raise UsageError("--look-at needs --camera-at: where does the camera stand?")
+        return film
+    target = arguments.look_at
+    if target is None:
+        if order.height_m is None:
+            raise UsageError("--camera-at needs --look-at or --height: where is the drop?")
+        target = (0.0, 0.0, 0.44 * order.height_m)
+    return replace(
+        film, camera=PinholeCamera(arguments.camera_at, target, film.size_px, film.fov_deg)
+    )
+
+
+def _point(text: str) -> tuple[float, ...]:
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = ()
+    if len(values) != 3 or not all(abs(value) < 1e4 for value in values):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a point X,Y,Z in meters, such as 1,-2,1")
+    return values
