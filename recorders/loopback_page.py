@@ -15,6 +15,9 @@ _MAX_BODY_BYTES = 1024
 _DRAINED_BYTES = 64 * 1024
 """Of a body that is too long: with less taken, the sender might not hear the answer."""
 
+_LOOK_SECONDS = 0.1
+"""How often the server looks whether it is to end."""
+
 _HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "default-src 'none'; img-src 'self'; connect-src 'self'; "
@@ -61,14 +64,14 @@ class LoopbackPage:
     """
 
     def __init__(self, site: Site) -> None:
-        bound = {"site": site, "hosts": ()}
-        handler = type("_BoundHandler", (_Handler,), bound)
+        handler = type("_BoundHandler", (_Handler,), {"site": site})
         self._server = ThreadingHTTPServer(("127.0.0.1", 0), handler)
         self._server.daemon_threads = True
         port = self._server.server_port
         self.url = f"http://127.0.0.1:{port}/"
         handler.hosts = (f"127.0.0.1:{port}", f"localhost:{port}")
-        threading.Thread(target=self._server.serve_forever, daemon=True).start()
+        serve = self._server.serve_forever
+        threading.Thread(target=serve, args=(_LOOK_SECONDS,), daemon=True).start()
 
     def close(self) -> None:
         """Take the page down."""
