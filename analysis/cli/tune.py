@@ -6,10 +6,16 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tunenet_logs.commandline import Parser, number, run, whole
 from tunenet_logs.errors import UsageError
+
+if TYPE_CHECKING:
+    from analysis.tasks.base import Selection
+    from tunenet_logs.progress import Progress
 
 _DESCRIPTION = """\
 Find the physical parameters that make a simulator move as a log shows: for a
@@ -24,6 +30,7 @@ _EXAMPLES = """\
   tunenet-tune drop.mcap
   tunenet-tune sample_logs/*.mcap -o tuned --jobs 2
   tunenet-tune phone.mp4
+  tunenet-tune phone.mp4 --preview                 (mark the ball on a page)
   tunenet-tune phone.mp4 --roi 400,0,500,1080 --start 2.5
   tunenet-tune mocap.mcap --topic /vrpn/ball/pose --start 3.5 --end 8
   tunenet-tune drop.mcap --iterations 10 --initial 0.5
@@ -88,6 +95,12 @@ def _picture_options(group: argparse._ArgumentGroup) -> None:
         metavar="X,Y,S",
         help="where it is seen moving [px], and when [s since the first picture]",
     )
+    add(
+        "--preview",
+        action="store_true",
+        help="show the pictures on a page of this machine, to mark the ball with a click; "
+        "for one log",
+    )
 
 
 def _numbers(text: str, count: int, what: str) -> tuple[float, ...]:
@@ -138,21 +151,22 @@ def _tune(arguments: argparse.Namespace) -> int:
 
     if None not in (arguments.start, arguments.end) and arguments.start >= arguments.end:
         raise UsageError(f"--start {arguments.start:g} is not before --end {arguments.end:g}")
+    if arguments.preview:
+        _check_preview(arguments)
+    progress = Progress(quiet=arguments.quiet)
+    hints = Hints(arguments.roi, arguments.hsv, arguments.ball_at)
+    selection = Selection(arguments.topic, arguments.start, arguments.end, hints)
     options = Options(
         task=arguments.task,
         preset=arguments.preset,
         iterations=arguments.iterations,
         initial=arguments.initial,
         weights=arguments.weights,
-        selection=Selection(
-            arguments.topic,
-            arguments.start,
-            arguments.end,
-            Hints(arguments.roi, arguments.hsv, arguments.ball_at),
-        ),
+        selection=_marked(arguments.logs[0], selection, progress)
+        if arguments.preview
+        else selection,
     )
     jobs = arguments.jobs or len(os.sched_getaffinity(0))
-    progress = Progress(quiet=arguments.quiet)
     results = tune_all(arguments.logs, options, arguments.output, jobs, progress)
     rows = [result.row for result in results]
     if any(row.read for row in rows):
@@ -169,6 +183,41 @@ def _tune(arguments: argparse.Namespace) -> int:
         print("\nreview: " + "\n        ".join(f"rerun {review}" for review in reviews))
     failed = any(one.row.verdict == "rejected" or one.trouble for one in results)
     return int(failed)
+
+
+def _check_preview(arguments: argparse.Namespace) -> None:
+    if len(arguments.logs) != 1:
+        raise UsageError(f"--preview is for one log, not {len(arguments.logs)}; name one")
+    for option, value in (("--ball-at", arguments.ball_at), ("--hsv", arguments.hsv)):
+        if value is not None:
+            raise UsageError(f"--preview does not go with {option}; leave one out")
+
+
+def _marked(log: Path, selection: Selection, progress: Progress) -> Selection:
+    """The selection with the ball as it is marked on a page; as it is without a mark."""
+    from analysis.marking import mark_ball
+    from tunenet_logs.reader import read_episode
+
+    episode = read_episode(log)
+    topics = episode.picture_topics
+    topic = selection.topic or next(iter(topics), None)
+    if topic is None or topic not in topics:
+        what = "no pictures" if selection.topic is None else f"no pictures in {selection.topic}"
+        there = f"there are some in: {', '.join(topics)}" if topics else "leave --preview out"
+        raise UsageError(f"{log}: holds {what} to mark the ball in; {there}")
+    try:
+        mark = mark_ball(
+            episode,
+            topic,
+            start_s=selection.start_s,
+            end_s=selection.end_s,
+            progress=progress,
+        )
+    except UsageError as error:
+        raise UsageError(f"{log}: {error}") from error
+    if mark is None:
+        return selection
+    return replace(selection, topic=topic, hints=replace(selection.hints, ball_at=mark))
 
 
 if __name__ == "__main__":

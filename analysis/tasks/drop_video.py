@@ -109,7 +109,7 @@ def _marked(info: EpisodeInfo, pictures: Pictures) -> Hints:
     """The ball as it was marked in the preview of the recording, if it was."""
     try:
         x, y = (float(part) for part in info.notes.get("ball_at_px", "").split(","))
-        at_s = (int(info.notes["ball_at_stamp_ns"]) - int(pictures.stamps_ns[0])) * 1e-9
+        at_s = (int(info.notes["ball_at_stamp_ns"]) - pictures.start_ns) * 1e-9
     except (ValueError, KeyError):
         return Hints()
     wide, tall = pictures.size_px

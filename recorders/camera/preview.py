@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import json
-import math
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from typing import Any
 
 import numpy as np
 
+from recorders.loopback_page import Answer, LoopbackPage, as_json, place_in
 from tunenet_logs.episode import Frame
 from tunenet_logs.errors import LogError
 from tunenet_logs.images import MAX_PIXELS, image_size
@@ -24,15 +22,6 @@ _RATE_FRAMES = 60
 _BLOWN_OUT = 250
 _PAUSE_SECONDS = 0.03
 """Between two pictures of the page: an eye needs no more, and recording comes first."""
-
-_MAX_BODY_BYTES = 1024
-_HEADERS = {
-    "Cache-Control": "no-store",
-    "Content-Security-Policy": "default-src 'none'; img-src 'self'; connect-src 'self'; "
-    "style-src 'unsafe-inline'; script-src 'unsafe-inline'; frame-ancestors 'none'",
-    "Cross-Origin-Resource-Policy": "same-origin",
-    "X-Content-Type-Options": "nosniff",
-}
 
 
 @dataclass(frozen=True)
@@ -69,13 +58,8 @@ class Preview:
         self._stamps_ns: deque[int] = deque(maxlen=_RATE_FRAMES)
         self._changed = threading.Condition()
         self._is_closed = False
-        handler = type("_BoundHandler", (_Handler,), {"preview": self})
-        self._server = ThreadingHTTPServer(("127.0.0.1", 0), handler)
-        self._server.daemon_threads = True
-        port = self._server.server_port
-        self.url = f"http://127.0.0.1:{port}/"
-        self.hosts = (f"127.0.0.1:{port}", f"localhost:{port}")
-        threading.Thread(target=self._server.serve_forever, daemon=True).start()
+        self._page = LoopbackPage(self)
+        self.url = self._page.url
 
     def show(self, frame: Frame, dropped: int) -> None:
         """Let the page see the newest frame."""
@@ -91,8 +75,26 @@ class Preview:
         with self._changed:
             self._is_closed = True
             self._changed.notify_all()
-        self._server.shutdown()
-        self._server.server_close()
+        self._page.close()
+
+    def get(self, path: str) -> Answer | None:
+        """The page, its picture, its figures."""
+        if path == "/":
+            page = files("recorders.camera").joinpath("preview.html").read_bytes()
+            return Answer(200, "text/html; charset=utf-8", page)
+        if path == "/state":
+            return as_json(self.state())
+        if path == "/live":
+            return Answer(200, "multipart/x-mixed-replace; boundary=frame", self._parts())
+        return None
+
+    def post(self, path: str, body: Mapping[str, Any]) -> Answer | None:
+        """A button, or a click on the ball."""
+        if path in ("/record", "/stop"):
+            return Answer(then=(self.record if path == "/record" else self.stop).set)
+        if path == "/ball" and (place := place_in(body)) and self.point(*place):
+            return Answer()
+        return None
 
     def pictures(self) -> Iterator[bytes]:
         """The newest frame, again and again; a slow viewer misses those between."""
@@ -105,6 +107,12 @@ class Preview:
                     return
                 seen, data = self._shown, self._frame.data
             yield data
+
+    def _parts(self) -> Iterator[bytes]:
+        for data in self.pictures():
+            head = f"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: {len(data)}\r\n\r\n"
+            yield head.encode() + data + b"\r\n"
+            time.sleep(_PAUSE_SECONDS)
 
     def state(self) -> dict[str, Any]:
         """What the page shows beside the picture."""
@@ -149,78 +157,3 @@ def _light(data: bytes) -> dict[str, Any]:
                     "blown_out": round(float(np.mean(np.asarray(grey) >= _BLOWN_OUT)), 4),
                 }
     return {}
-
-
-class _Handler(BaseHTTPRequestHandler):
-    preview: Preview
-    timeout = 10  # a viewer that takes nothing for so long [s] is gone
-
-    def log_message(self, format: str, *_words: object) -> None:  # noqa: A002
-        """Standard error is for the recorder."""
-
-    def do_GET(self) -> None:
-        """The page, its picture, its figures."""
-        if not self._is_ours():
-            return
-        if self.path == "/":
-            page = files("recorders.camera").joinpath("preview.html").read_bytes()
-            self._answer(200, "text/html; charset=utf-8", page)
-        elif self.path == "/state":
-            self._answer(200, "application/json", json.dumps(self.preview.state()).encode())
-        elif self.path == "/live":
-            self._play()
-        else:
-            self._answer(404, "text/plain", b"no such page\n")
-
-    def do_POST(self) -> None:
-        """A button, or a click on the ball."""
-        if not self._is_ours():
-            return
-        if self.path in ("/record", "/stop"):
-            self._answer(204)  # first: a recorder that stops takes this thread with it
-            (self.preview.record if self.path == "/record" else self.preview.stop).set()
-        elif self.path == "/ball" and (place := self._place()) and self.preview.point(*place):
-            self._answer(204)
-        else:
-            self._answer(400, "text/plain", b"that is nothing that can be done here\n")
-
-    def _is_ours(self) -> bool:
-        """Refuse what another site's page asks for, be it under a host name of its own."""
-        origins = [f"http://{host}" for host in self.preview.hosts]
-        origin = self.headers.get("Origin")
-        if self.headers.get("Host") in self.preview.hosts and origin in (None, *origins):
-            return True
-        self._answer(403, "text/plain", b"this page is for this machine alone\n")
-        return False
-
-    def _place(self) -> tuple[float, float] | None:
-        length = self.headers.get("Content-Length", "")
-        if not (length.isascii() and length.isdecimal() and int(length[:9]) <= _MAX_BODY_BYTES):
-            return None
-        with suppress(ValueError, KeyError, TypeError, RecursionError, OverflowError):
-            body = json.loads(self.rfile.read(int(length)))
-            x_px, y_px = float(body["x"]), float(body["y"])
-            return (x_px, y_px) if math.isfinite(x_px) and math.isfinite(y_px) else None
-        return None
-
-    def _answer(self, code: int, kind: str = "", body: bytes = b"") -> None:
-        self.send_response(code)
-        for name, value in _HEADERS.items():
-            self.send_header(name, value)
-        if kind:
-            self.send_header("Content-Type", kind)
-            self.send_header("Content-Length", str(len(body)))
-        self.end_headers()
-        self.wfile.write(body)
-
-    def _play(self) -> None:
-        self.send_response(200)
-        for name, value in _HEADERS.items():
-            self.send_header(name, value)
-        self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=frame")
-        self.end_headers()
-        with suppress(OSError):  # the viewer went away
-            for data in self.preview.pictures():
-                head = f"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: {len(data)}\r\n\r\n"
-                self.wfile.write(head.encode() + data + b"\r\n")
-                time.sleep(_PAUSE_SECONDS)

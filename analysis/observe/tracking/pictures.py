@@ -93,7 +93,9 @@ class Pictures:
         return self._reduced(mask)
 
     def scaled(self, ball_at: tuple[float, float, float]) -> tuple[float, float, float]:
-        """A place in the picture [px], and a time [s], as it is in the reduced one.
+        """A place in the picture [px], and a time since the topic's first picture [s], in ours.
+
+        Ours are reduced, and begin at `stamps_ns[0]`.
 
         Raises:
             UsageError: the place is not in the picture.
@@ -102,7 +104,8 @@ class Pictures:
         wide, tall = self.size_px
         if not (0 <= x < wide and 0 <= y < tall):
             raise UsageError(f"--ball-at {x:g},{y:g} is not in the picture of {wide} x {tall} px")
-        return x / self.scale, y / self.scale, at_s
+        before_s = (int(self.stamps_ns[0]) - self.start_ns) * 1e-9
+        return x / self.scale, y / self.scale, at_s - before_s
 
     def _selected(self) -> Iterator[tuple[int, Frame]]:
         for index, frame in enumerate(self._episode.frames(self._topic)):

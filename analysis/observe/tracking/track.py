@@ -33,7 +33,7 @@ class Hints:
     Attributes:
         roi: left, top, width, height [px] of the part of the picture to look in.
         hsv: lowest and highest hue (0 to 179), saturation and value (0 to 255) of the ball.
-        ball_at: x, y [px] of the ball, and when [s since the first frame].
+        ball_at: x, y [px] of the ball, and when [s since the first picture, selected or not].
     """
 
     roi: tuple[int, int, int, int] | None = None

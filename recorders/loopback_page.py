@@ -1,0 +1,153 @@
+"""A page that this machine alone can open: what every such page needs, whatever it shows."""
+
+from __future__ import annotations
+
+import json
+import math
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any, Protocol
+
+_MAX_BODY_BYTES = 1024
+_DRAINED_BYTES = 64 * 1024
+"""Of a body that is too long: with less taken, the sender might not hear the answer."""
+
+_LOOK_SECONDS = 0.1
+"""How often the server looks whether it is to end."""
+
+_HEADERS = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": "default-src 'none'; img-src 'self'; connect-src 'self'; "
+    "style-src 'unsafe-inline'; script-src 'unsafe-inline'; frame-ancestors 'none'",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "X-Content-Type-Options": "nosniff",
+}
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a site says to a request.
+
+    Attributes:
+        code: HTTP's.
+        kind: content type; "" for an answer without a body.
+        body: whole, or part after part for as long as the viewer stays.
+        then: what to do once the answer is out: an end of the process takes the page with it.
+    """
+
+    code: int = 204
+    kind: str = ""
+    body: bytes | Iterator[bytes] = b""
+    then: Callable[[], object] | None = None
+
+
+class Site(Protocol):
+    """What a page shows and takes. It is asked from several threads at once."""
+
+    def get(self, path: str) -> Answer | None:
+        """The answer to a GET; None where there is no such page."""
+        ...
+
+    def post(self, path: str, body: Mapping[str, Any]) -> Answer | None:
+        """The answer to a POST with a JSON object; None for what cannot be done."""
+        ...
+
+
+class LoopbackPage:
+    """Serves a site on 127.0.0.1 alone, at a port that was free, until `close`.
+
+    Attributes:
+        url: where it is.
+    """
+
+    def __init__(self, site: Site) -> None:
+        handler = type("_BoundHandler", (_Handler,), {"site": site})
+        self._server = ThreadingHTTPServer(("127.0.0.1", 0), handler)
+        self._server.daemon_threads = True
+        port = self._server.server_port
+        self.url = f"http://127.0.0.1:{port}/"
+        handler.hosts = (f"127.0.0.1:{port}", f"localhost:{port}")
+        serve = self._server.serve_forever
+        threading.Thread(target=serve, args=(_LOOK_SECONDS,), daemon=True).start()
+
+    def close(self) -> None:
+        """Take the page down."""
+        self._server.shutdown()
+        self._server.server_close()
+
+
+def as_json(value: object) -> Answer:
+    """An answer that a script reads."""
+    return Answer(200, "application/json", json.dumps(value).encode())
+
+
+def place_in(body: Mapping[str, Any]) -> tuple[float, float] | None:
+    """The finite numbers "x" and "y" of a body; None where it lacks one."""
+    with suppress(ValueError, KeyError, TypeError, OverflowError):
+        x, y = float(body["x"]), float(body["y"])
+        return (x, y) if math.isfinite(x) and math.isfinite(y) else None
+    return None
+
+
+class _Handler(BaseHTTPRequestHandler):
+    site: Site
+    hosts: tuple[str, ...]
+    timeout = 10  # a viewer that takes nothing for so long [s] is gone
+
+    def log_message(self, format: str, *_words: object) -> None:  # noqa: A002
+        """Standard error is for the command."""
+
+    def do_GET(self) -> None:
+        """Show what the site has there."""
+        if self._is_ours():
+            nothing = Answer(404, "text/plain", b"no such page\n")
+            self._send(self.site.get(self.path) or nothing)
+
+    def do_POST(self) -> None:
+        """Hand the site what was pressed or clicked."""
+        if self._is_ours():
+            nothing = Answer(400, "text/plain", b"that is nothing that can be done here\n")
+            body = self._body()
+            self._send((None if body is None else self.site.post(self.path, body)) or nothing)
+
+    def _is_ours(self) -> bool:
+        """Refuse what another site's page asks for, be it under a host name of its own."""
+        origins = [f"http://{host}" for host in self.hosts]
+        origin = self.headers.get("Origin")
+        if self.headers.get("Host") in self.hosts and origin in (None, *origins):
+            return True
+        self._send(Answer(403, "text/plain", b"this page is for this machine alone\n"))
+        return False
+
+    def _body(self) -> dict[str, Any] | None:
+        """The JSON object that was sent, {} for nothing; None for anything else, or too much."""
+        length = self.headers.get("Content-Length", "0")
+        if not (length.isascii() and length.isdecimal()):
+            return None
+        if int(length[:9]) > _MAX_BODY_BYTES or len(length) > 9:
+            with suppress(OSError):
+                self.rfile.read(min(int(length[:9]), _DRAINED_BYTES))
+            return None
+        with suppress(OSError, ValueError, RecursionError):
+            data = self.rfile.read(int(length))
+            body = json.loads(data) if data else {}
+            return body if isinstance(body, dict) else None
+        return None
+
+    def _send(self, answer: Answer) -> None:
+        with suppress(OSError):  # the viewer went away
+            self.send_response(answer.code)
+            for name, value in _HEADERS.items():
+                self.send_header(name, value)
+            if answer.kind:
+                self.send_header("Content-Type", answer.kind)
+            if isinstance(answer.body, bytes) and answer.kind:
+                self.send_header("Content-Length", str(len(answer.body)))
+            self.end_headers()
+            for part in (answer.body,) if isinstance(answer.body, bytes) else answer.body:
+                self.wfile.write(part)
+        if answer.then is not None:
+            answer.then()

@@ -1,0 +1,271 @@
+"""The page on which the ball of a recording is marked, over real HTTP, beside a real tuning."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from http.client import HTTPConnection
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from analysis.album import Album, album_of
+from analysis.marking import Marking
+from analysis.observe.tracking.pictures import Pictures
+from recorders.filmed_drop import FilmOrder, film_drop
+from recorders.session import record_episode
+from recorders.simulated_drop import DropOrder
+from tests.analysis.test_album import episode_of
+from tests.conftest import BIN, Command
+from tunenet_logs.episode import EpisodeInfo, Frame
+from tunenet_logs.progress import Progress
+from tunenet_logs.reader import read_episode
+
+BALL_PX, BALL_PICTURE = (159.5, 119.0), 21
+"""Where the ball of `film` is in flight."""
+
+
+@dataclass(frozen=True)
+class Page:
+    """Asks a page."""
+
+    url: str
+
+    @property
+    def host(self) -> str:
+        return self.url.removeprefix("http://").strip("/")
+
+    def ask(
+        self, method: str, path: str, body: str | None = None, **headers: str
+    ) -> tuple[int, bytes]:
+        connection = HTTPConnection(self.host, timeout=10)
+        try:
+            connection.request(method, path, body, headers)
+            response = connection.getresponse()
+            return response.status, response.read()
+        finally:
+            connection.close()
+
+    def tune(self, x: object, y: object, picture: object) -> int:
+        return self.ask("POST", "/tune", json.dumps({"x": x, "y": y, "picture": picture}))[0]
+
+
+@contextmanager
+def tuning(log: Path, *words: str) -> Iterator[tuple[Page, subprocess.Popen[str]]]:
+    process = subprocess.Popen(
+        [BIN / "tunenet-tune", log, "--preview", *words],
+        cwd=log.parent, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        assert process.stderr is not None
+        line = process.stderr.readline()
+        assert line.startswith("mark the ball at http://127.0.0.1:"), line
+        yield Page(line.removeprefix("mark the ball at ").strip()), process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("film") / "film.mcap"
+    order = DropOrder(restitution=0.6, height_m=1.0, seconds=2, seed=3)
+    quiet = Progress(quiet=True)
+    record_episode(film_drop(order, FilmOrder()), path, overwrite=False, progress=quiet)
+    return path
+
+
+@pytest.fixture(scope="module")
+def whole(film: Path) -> Album:
+    return album_of(read_episode(film), "/camera/image_raw/compressed")
+
+
+@pytest.fixture
+def page(whole: Album) -> Iterator[tuple[Page, Marking]]:
+    marking = Marking(whole)
+    try:
+        yield Page(marking.url), marking
+    finally:
+        marking.close()
+
+
+def test_from_a_click_to_a_tuned_ball(film: Path):
+    with tuning(film, "-o", "marked") as (page, process):
+        code, html = page.ask("GET", "/")
+        assert code == 200
+        assert b"Tune with this mark" in html
+        contents = json.loads(page.ask("GET", "/album")[1])
+        assert contents["size_px"] == [320, 240]
+        assert len(contents["seconds"]) == 120
+        assert page.tune(*BALL_PX, BALL_PICTURE) == 204
+        out, err = process.communicate(timeout=60)
+    assert process.returncode == 0, err
+    assert not err
+    assert " ok " in out
+    result = json.loads((film.parent / "marked" / "film.json").read_text())
+    assert result["parameters"]["restitution"]["value"] == pytest.approx(0.6, abs=0.02)
+
+
+def test_the_mark_is_what_tuning_goes_by(film: Path, tmp_path: Path):
+    frames = list(read_episode(film).frames())
+    empty = np.median([frame.decode() for frame in frames[::4]], axis=0).astype(np.uint8)
+    data = cv2.imencode(".jpg", empty[:, :, ::-1])[1].tobytes()
+    before = [Frame(number * 10**7, "jpeg", data) for number in range(20)]
+    after = [replace(frame, stamp_ns=frame.stamp_ns + 10**9) for frame in frames]
+    path = tmp_path / "still.mcap"
+    late = replace(episode_of([*before, *after]), info=EpisodeInfo(kind="drop"))
+    record_episode(late, path, overwrite=False, progress=Progress(quiet=True))
+    with tuning(path) as (page, process):
+        assert page.tune(*BALL_PX, 10) == 204
+        out, err = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "nothing moves at 160, 119 px at 0.10 s" in out + err
+    with tuning(path, "--start", "0.5") as (page, process):
+        assert json.loads(page.ask("GET", "/album")[1])["seconds"][0] == 1
+        assert page.tune(*BALL_PX, BALL_PICTURE) == 204
+        out, err = process.communicate(timeout=60)
+    assert process.returncode == 0, err
+    assert " ok " in out
+
+
+def test_a_mark_counts_from_the_first_picture_whatever_is_left_out(film: Path):
+    pictures = Pictures(read_episode(film), "/camera/image_raw/compressed", start_s=0.5)
+    x, y, at_s = pictures.scaled((160, 120, 0.75))
+    assert (x, y, at_s) == pytest.approx((160 / pictures.scale, 120 / pictures.scale, 0.25))
+
+
+def test_without_a_mark_it_is_as_without_a_page(film: Path, command: Command):
+    with tuning(film) as (page, process):
+        assert page.ask("POST", "/without")[0] == 204
+        _, err = process.communicate(timeout=60)
+    assert process.returncode == 0, err
+    by_page = json.loads(film.with_suffix(".json").read_text())
+    assert command("tunenet-tune", film).returncode == 0
+    assert by_page["parameters"] == json.loads(film.with_suffix(".json").read_text())["parameters"]
+
+
+@pytest.mark.parametrize("how", ["signal", "closed"])
+def test_an_end_without_a_decision_is_one_line(film: Path, tmp_path: Path, how: str):
+    with tuning(film, "-o", str(tmp_path / "out")) as (page, process):
+        assert page.ask("GET", "/")[0] == 200
+        if how == "signal":
+            process.send_signal(signal.SIGINT)
+        else:
+            assert page.ask("POST", "/leave")[0] == 204
+        out, err = process.communicate(timeout=20)
+    assert process.returncode == 130
+    assert (out, err) == ("", "tunenet-tune: interrupted\n")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_page_that_is_loaded_again_is_not_closed(film: Path):
+    with tuning(film) as (page, process):
+        page.ask("POST", "/leave")
+        assert page.ask("GET", "/")[0] == 200
+        time.sleep(4)
+        assert process.poll() is None
+
+
+def test_a_click_is_a_place_and_a_time(page: tuple[Page, Marking], whole: Album):
+    asked, marking = page
+    assert asked.tune(100.25, 60, 30) == 204
+    assert marking.wait() == (100.25, 60, whole.shots[30].seconds)
+    assert whole.shots[30].seconds == pytest.approx(0.5)
+    assert asked.ask("POST", "/without")[0] == 204
+    assert marking.wait() is None
+
+
+def test_pictures_are_the_recordings_own(page: tuple[Page, Marking], film: Path):
+    asked, _ = page
+    frames = list(read_episode(film).frames())
+    for number in (0, 7, 119):
+        assert asked.ask("GET", f"/picture/{number}") == (200, frames[number].data)
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["/picture/120", "/picture/-1", "/picture/", "/picture/x", "/picture/1/..", "/7", "/../cli",
+     "/picture/99999999999999999999", "/picture/٣", "/nix"],
+)  # fmt: skip
+def test_there_is_nothing_else_on_it(page: tuple[Page, Marking], path: str):
+    from urllib.parse import quote
+
+    assert page[0].ask("GET", quote(path))[0] == 404
+
+
+def test_it_is_for_this_machine_alone(page: tuple[Page, Marking]):
+    asked, marking = page
+    port = asked.host.partition(":")[2]
+    assert asked.ask("GET", "/album", Host=f"localhost:{port}")[0] == 200
+    for headers in (
+        {"Host": "evil.example"},
+        {"Host": f"evil.example:{port}"},
+        {"Origin": "http://evil.example"},
+        {"Origin": "null"},
+    ):
+        for method, path in (("GET", "/"), ("GET", "/picture/0"), ("POST", "/without")):
+            assert asked.ask(method, path, **headers)[0] == 403
+    asked.tune(1, 2, 0)
+    assert marking.wait() == (1, 2, 0)  # nothing of the others' came before
+    listening = Path("/proc/net/tcp").read_text()
+    bound = [line.split()[1] for line in listening.splitlines() if line.split()[3] == "0A"]
+    assert f"0100007F:{int(port):04X}" in bound
+    assert f"00000000:{int(port):04X}" not in bound
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        "", "x", "[]", "{}", '{"x": 1, "y": 1}', '{"x": 1, "y": 1, "picture": 120}',
+        '{"x": 1, "y": 1, "picture": -1}', '{"x": 1, "y": 1, "picture": 1.5}',
+        '{"x": 1, "y": 1, "picture": null}', '{"x": NaN, "y": 1, "picture": 1}',
+        '{"x": -1, "y": 1, "picture": 1}', '{"x": 320, "y": 1, "picture": 1}',
+        '{"x": 1, "y": 240, "picture": 1}', '{"x": 1e400, "y": 1, "picture": 1}',
+        "[" * 1000, '{"x": 1, "y": 1, "picture": 1}' + " " * 1000, "[" * 60_000,
+    ],
+)  # fmt: skip
+def test_a_mark_that_is_none_is_refused(page: tuple[Page, Marking], body: str):
+    asked, marking = page
+    assert asked.ask("POST", "/tune", body)[0] == 400
+    asked.tune(5, 6, 0)
+    assert marking.wait() == (5, 6, 0)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("--ball-at", "1,2,3"), "--ball-at"),
+        (("--hsv", "0,0,0:9,9,9"), "--hsv"),
+        (("--topic", "/nix"), "/camera/image_raw/compressed"),
+        (("--start", "900"), "no picture"),
+    ],
+)
+def test_what_does_not_go_with_it_is_one_line(
+    command: Command, film: Path, words: tuple[str, ...], says: str
+):
+    result = command("tunenet-tune", film, "--preview", *words, cwd=film.parent)
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert says in result.stderr
+
+
+def test_two_logs_are_refused(command: Command, film: Path):
+    result = command("tunenet-tune", film, film, "--preview")
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert "one log" in result.stderr
+
+
+def test_a_log_without_pictures_is_refused(command: Command, drop_log: Path):
+    result = command("tunenet-tune", drop_log, "--preview")
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert "no pictures" in result.stderr
+    assert not drop_log.with_suffix(".json").exists()
