@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.observe.base import Observation, resample
-from analysis.observe.drop import paper_axis
+from analysis.observe.drop import canonical_axis, paper_axis
 from analysis.observe.free_fall import Drop, impact_candidates, noise_of
-from analysis.observe.projection import Projection, fit_projection
+from analysis.observe.projection import Projection, bounce_curve, fit_projection
 from analysis.observe.tracking.track import Track
 from recorders.simulators.contact import CALIBRATED
 from tunenet_logs.errors import NotFoundError
@@ -95,6 +95,20 @@ def find_filmed_drop(track: Track, start_ns: int) -> FilmedDrop:
         sideways=(across - np.median(across)) / projection.span_px,
         drop=_drop(seconds[begin:last], along[begin:last], projection, noise, begin),
     )
+
+
+def canonical_film(film: FilmedDrop) -> Observation:
+    """The flights that were seen, on the canonical grid of `canonical`.
+
+    They are the parabolas of the fitted projection, each as long as it was seen to last, not the
+    samples: those carry the noise of a track, which counts for much where a bounce is small.
+    """
+    axis, fit, drop = canonical_axis(), film.projection, film.drop
+    values = bounce_curve(axis, fit.impacts)
+    last = float(fit.fall_times(drop.seconds[-1:])[0])
+    seen = last if np.isnan(drop.rest_m) else np.inf
+    values[axis > seen] = np.nan
+    return Observation(values[:, None], axis, "time after impact [fall times]", ("[drop heights]",))
 
 
 def image_rows(film: FilmedDrop, start_s: float) -> Observation:

@@ -16,6 +16,7 @@ _GRAVITY_M_S2 = 9.81
 _REJECT_FIT = 0.1
 _CLEAR_FLIGHT = 10
 _CLEAR_HOP = 8
+_MOST_GAP = 4.0
 
 
 @dataclass(frozen=True)
@@ -36,12 +37,13 @@ class Check:
         object.__setattr__(self, "passed", bool(self.passed))  # NumPy's bool is no JSON
 
 
-def recording_checks(drop: Drop, sideways_m: Array) -> list[Check]:
+def recording_checks(drop: Drop, sideways_m: Array, most_gap_falls: float = 0.0) -> list[Check]:
     """What the recording itself tells.
 
     Args:
         drop: the drop in it.
         sideways_m: the ball's horizontal positions in the drop's window [m], shape (T, 2).
+        most_gap_falls: a gap of so many fall times may be, even where it is many periods.
     """
     height = drop.drop_height_m
     after = drop.seconds > drop.impact_s
@@ -50,6 +52,7 @@ def recording_checks(drop: Drop, sideways_m: Array) -> list[Check]:
     drift = float(np.linalg.norm(np.ptp(sideways_m, axis=0)))
     periods = np.diff(drop.seconds)
     gap = float(periods.max() / np.median(periods))
+    most_gap = max(_MOST_GAP, most_gap_falls * drop.fall_time_s / float(np.median(periods)))
     floor = 0.03 * height + 6 * drop.noise_m
     return [
         Check("first flight seen", seen > 0.9, f"{seen:.1f} fall times (wanted: 0.9 or more)"),
@@ -63,7 +66,11 @@ def recording_checks(drop: Drop, sideways_m: Array) -> list[Check]:
             drift < 0.5 * height,
             f"{1000 * drift:.0f} mm sideways (at most {500 * height:.0f})",
         ),
-        Check("no samples missing", gap < 4, f"longest gap {gap:.1f} periods (at most 4)"),
+        Check(
+            "no samples missing",
+            gap < most_gap,
+            f"longest gap {gap:.1f} periods (less than {most_gap:.1f})",
+        ),
     ]
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from analysis.estimators.base import Problem, Step
 from analysis.observe import drop as views
-from analysis.observe.film import FilmedDrop, find_filmed_drop, image_rows
+from analysis.observe.film import FilmedDrop, canonical_film, find_filmed_drop, image_rows
 from analysis.observe.film_quality import film_checks, scale_checks
 from analysis.observe.quality import Check, fit_check, recording_checks
 from analysis.observe.tracking.pictures import Pictures
@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 
 _AGREEMENT = 0.03
 _FIT = 0.015
+_MOST_GAP_FALLS = 0.15
 
 
 class DropVideoTask:
@@ -54,7 +55,7 @@ class DropVideoTask:
         track = track_ball(pictures, hints)
         film = find_filmed_drop(track, pictures.start_ns)
         physical = PRESETS[preset].physical
-        target = views.canonical(film.drop) if physical else _paper_target(film)
+        target = canonical_film(film) if physical else _paper_target(film)
         warnings, rig = [], episode.info.rig
         if pictures.damaged:
             warnings.append(f"{pictures.damaged} damaged pictures were left out")
@@ -80,7 +81,7 @@ class DropVideoTask:
         """See `Task.checks`."""
         assert last.look is not None
         assert found.film is not None
-        checks = recording_checks(found.drop, found.sideways_m)
+        checks = recording_checks(found.drop, found.sideways_m, _MOST_GAP_FALLS)
         checks += film_checks(found.film, float(last.values[0]))
         checks += scale_checks(found.film, *found.known_m)
         if not found.physical:  # z and y are not to be compared

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.observe import drop as views
-from analysis.observe.film import find_filmed_drop
+from analysis.observe.film import canonical_film, find_filmed_drop
 from analysis.observe.tracking.projected import projected_track
 from analysis.tasks.base import Preset
 from analysis.tasks.drop_presets import PAPER_HEIGHT_M, PAPER_RESTITUTION, PAPERS_TEXT
@@ -67,8 +67,8 @@ def _observe_plans(plans: Sequence[FilmPlan]) -> Array:
         noise_px = float(np.exp(rng.uniform(*np.log(_NOISE_PX))))
         track = projected_track(episode, camera, noise_px, rng.random() * _LOST_SHARE, rng)
         try:
-            drop = find_filmed_drop(track, plan.rig.start_ns).drop
-            curves.append(views.canonical(drop).values)
+            film = find_filmed_drop(track, plan.rig.start_ns)
+            curves.append(canonical_film(film).values)
         except NotFoundError:
             curves.append(np.full((len(views.canonical_axis()), 1), np.nan))
     return np.array(curves)
@@ -154,7 +154,7 @@ PRESETS = {
         Purpose(
             task="drop-video",
             preset="default",
-            observation="height after impact by a fitted projection, 32 places a fall time, "
+            observation="flights after impact by a fitted projection, 32 places a fall time, "
             "4 fall times",
             inputs=len(views.canonical_axis()),
             outputs=1,
