@@ -14,6 +14,7 @@ from pathlib import Path
 import rerun as rr
 import rerun.blueprint as rrb
 
+from analysis.observe.film import FilmedDrop
 from analysis.review.film import film_aspect, film_view, log_film, log_recorded_film
 from analysis.review.plots import height_view, log_plots, residual_view
 from analysis.review.scene import log_scene, scene_view
@@ -47,11 +48,9 @@ def write_review(tuning: Tuning, path: Path) -> None:
         log_plots(stream, story)
         log_scene(stream, story)
         log_sheets(stream, story)
-        aspect = None
         if tuning.found.film is not None:
             log_film(stream, tuning, story)
-            aspect = film_aspect(tuning)
-        stream.send_blueprint(_blueprint(_tuning_layout(story, aspect)))
+        stream.send_blueprint(_blueprint(_tuning_layout(story, tuning.found.film)))
     stream.flush()
     path.write_bytes(memory.drain_as_bytes())
     stream.disconnect()
@@ -67,22 +66,17 @@ def _log_recorded(stream: rr.RecordingStream, tuning: Tuning) -> None:
             send_scalars(stream, entity, signal.seconds, signal.values[:, index])
 
 
-def _tuning_layout(story: Story, aspect: float | None) -> rrb.Container:
-    """Two tabs, to play and to scrub; with the video first where there is one.
-
-    Args:
-        story: what is told.
-        aspect: width over height of the video; None without one.
-    """
+def _tuning_layout(story: Story, film: FilmedDrop | None) -> rrb.Container:
+    """Two tabs, to play and to scrub; with the video first where there is one."""
     result = rrb.TextDocumentView(origin="/result", name="result")
     words = rrb.Vertical(result, residual_view(story), convergence_view(), row_shares=[5, 3, 3])
     curves = rrb.Vertical(scene_view(story), height_view(story))
     name = f"overlay (timeline {LOG_TIME})"
-    if aspect is None:
+    if film is None:
         overlay = rrb.Horizontal(curves, words, column_shares=[3, 2], name=name)
     else:
-        share = min(max(3 * aspect, 1.2), 4.0)
-        video = film_view(story)
+        share = min(max(3 * film_aspect(film), 1.2), 3.5)
+        video = film_view(film, len(story.simulated) - 1)
         overlay = rrb.Horizontal(video, curves, words, column_shares=[share, 3, 3], name=name)
     scrub = rrb.Horizontal(
         height_sheet_view(),

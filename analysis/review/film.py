@@ -70,18 +70,31 @@ def log_recorded_film(stream: rr.RecordingStream, tuning: Tuning) -> bool:
     return bool(frames)
 
 
-def film_view(story: Story) -> rrb.View:
-    """The video under the circles of observed and simulated balls."""
-    last = len(story.simulated) - 1
+def film_view(film: FilmedDrop, iterations: int) -> rrb.View:
+    """The video under the circles of observed and simulated balls, opened at the ball's way."""
+    (left, right), (top, bottom) = _opened_at(film)
     return rrb.Spatial2DView(
-        origin="/film", name=f"video: observed (white), simulated k=0 to k={last} (cold to warm)"
+        origin="/film",
+        name=f"video: observed white, k=0 to {iterations} cold to warm",
+        visual_bounds=rrb.VisualBounds2D(x_range=(left, right), y_range=(top, bottom)),
     )
 
 
-def film_aspect(tuning: Tuning) -> float:
-    """Width over height of the picture."""
-    width, height = tuning.found.film.track.size_px
-    return width / height
+def film_aspect(film: FilmedDrop) -> float:
+    """Width over height of what the view opens at."""
+    (left, right), (top, bottom) = _opened_at(film)
+    return (right - left) / (bottom - top)
+
+
+def _opened_at(film: FilmedDrop) -> tuple[tuple[float, float], tuple[float, float]]:
+    """The ball's way with room around it, as wide as it is high where the picture is."""
+    size = np.array(film.track.size_px, np.float64)
+    places = film.track.places_px[film.used]
+    low, high = np.nanmin(places, axis=0), np.nanmax(places, axis=0)
+    half = np.minimum(0.7 * (high - low).max() + 10, size / 2)
+    middle = np.clip((low + high) / 2, half, size - half)
+    (left, top), (right, bottom) = middle - half, middle + half
+    return (float(left), float(right)), (float(top), float(bottom))
 
 
 def projected_places(film: FilmedDrop, curve: Curve, drop_height_m: float) -> Array:
