@@ -64,7 +64,7 @@ def camera_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
             "--ball-diameter",
             type=number(0.001, 10, "m"),
             metavar="M",
-            help="of the ball [m]; gives the picture its scale",
+            help="of the ball [m]; lets the frame rate be checked",
         ),
         add("--ball-mass", type=number(0.0001, 1000, "kg"), metavar="KG", help="of the ball [kg]"),
         add(

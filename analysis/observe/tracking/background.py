@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -89,11 +89,6 @@ def without_ball(
         picture[touched] = middle.astype(np.uint8)
         spread[touched] = np.nanmedian(np.abs(values - middle).max(axis=2), axis=0)
     return Background(picture, _threshold(spread))
-
-
-def sampled(pictures: Iterable[Picture], wanted: set[int]) -> list[Picture]:
-    """The pictures of these numbers."""
-    return [picture for index, picture in enumerate(pictures) if index in wanted]
 
 
 def _strongest(colours: Picture) -> Picture:

@@ -12,6 +12,7 @@ from tunenet_logs.errors import LogError, NotFoundError, UsageError
 
 Picture = NDArray[np.uint8]
 
+_MOST_SAMPLES = 64
 _MOST_PIXELS = 480_000
 """Above that, pictures are reduced: a ball is still found to a small part of a pixel."""
 
@@ -25,6 +26,8 @@ class Pictures:
         size_px: (width, height) before reduction.
         scale: by which they are reduced, a whole number.
         damaged: pictures that could not be decoded and are left out.
+        samples: 32 to 64 of the pictures, evenly over the recording (all of a short one), reduced.
+        sampled: their numbers, increasing.
 
     Args:
         episode: with frames.
@@ -51,7 +54,9 @@ class Pictures:
         self.size_px = (0, 0)
         self.scale = 1
         self.damaged = 0
+        self.samples: list[Picture] = []
         stamps: list[int] = []
+        every = 1
         self._kept: set[int] = set()
         for index, frame in self._selected():
             try:
@@ -64,8 +69,13 @@ class Pictures:
                 self.size_px = (width, height)
                 self.scale = max(1, int(np.ceil(np.sqrt(width * height / _MOST_PIXELS))))
             if (width, height) == self.size_px and (not stamps or frame.stamp_ns > stamps[-1]):
+                if len(stamps) % every == 0:
+                    self.samples.append(self._reduced(picture))
+                if len(self.samples) > _MOST_SAMPLES:  # how many there will be is not known yet
+                    self.samples, every = self.samples[::2], 2 * every
                 stamps.append(frame.stamp_ns)
                 self._kept.add(index)
+        self.sampled = every * np.arange(len(self.samples))
         if not stamps:
             raise NotFoundError("holds no picture that can be decoded (in the part selected)")
         self.stamps_ns = np.array(stamps, np.int64)

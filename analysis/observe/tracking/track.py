@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from analysis.observe.tracking.arcs import Arc, Candidates, longest_arc, tabulate
 from analysis.observe.tracking.background import (
-    sampled,
     still_background,
     without_ball,
 )
@@ -21,7 +20,6 @@ from tunenet_logs.errors import NotFoundError
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
-_SAMPLES = 48
 _LOST_S = 0.4
 _LEAST_SEEN = 8
 
@@ -83,10 +81,7 @@ def track_ball(pictures: Pictures, hints: Hints | None = None) -> Track:
         raise NotFoundError(f"{len(stamps_ns)} pictures are too few for a drop")
     seconds = (stamps_ns - stamps_ns[0]).astype(np.float64) * 1e-9
     allowed = pictures.allowed(hints.roi)
-    count = min(_SAMPLES, len(seconds))
-    wanted = np.linspace(0, len(seconds) - 1, count).astype(int)
-    samples = sampled(pictures, set(wanted.tolist()))
-    background = still_background(samples)
+    background = still_background(pictures.samples)
 
     def candidates(find: Callable[[Picture], Blobs]) -> Candidates:
         return tabulate(seconds, [find(picture) for picture in pictures])
@@ -104,7 +99,7 @@ def track_ball(pictures: Pictures, hints: Hints | None = None) -> Track:
     look = _look(table, arc)
     chosen, _ = _follow(table, arc, look)
     places = _filled(_chosen(table.places_px, chosen))
-    clear = without_ball(samples, places[wanted], 2.5 * look.radius_px + 2)
+    clear = without_ball(pictures.samples, places[pictures.sampled], 2.5 * look.radius_px + 2)
     table = candidates(lambda one: coloured_blobs(one, clear, look, allowed))
     arc = _same_arc(table, arc, places)
     look = _look(table, arc)
