@@ -37,7 +37,7 @@ def test_fresh_films_of_random_cameras(tmp_path: Path):
     """The figure to hold: mean absolute error .015. `python -m benchmarks.video` has more drops."""
     rng = np.random.default_rng(40_001)
     off = []
-    for index in range(6):
+    for index in range(4):
         truth = float(rng.uniform(0.1, 0.95))
         picture = FilmOrder(exposure_s=float(rng.choice([0, 0.004])), noise=2)
         path = film(

@@ -10,10 +10,14 @@ import pytest
 from rerun.chunk import RrdReader
 
 from analysis.review import write_review
+from analysis.review.film import projected_places
 from analysis.review.story import story_of
 from analysis.tuning import Options, Tuning, tune_log
 from tests.conftest import BIN, record
 from tests.strangers import Stranger, write_poses
+from tunenet_logs.episode import EpisodeInfo
+from tunenet_logs.reader import read_episode
+from tunenet_logs.writer import EpisodeWriter
 
 
 def verified(path: Path) -> None:
@@ -97,3 +101,38 @@ def test_the_papers_rollouts_lie_over_the_observed_curve_too(tmp_path: Path):
     falling = story.observed.seconds < story.impact_s
     assert np.abs(off[falling]).max() < 0.05
     assert np.sqrt(np.mean(off**2)) < 0.1
+
+
+def test_a_film_lies_under_its_balls_on_the_logs_time(filmed_log: Path, tmp_path: Path):
+    tuning = tune_log(filmed_log, Options())
+    write_review(tuning, tmp_path / "a.rrd")
+    verified(tmp_path / "a.rrd")
+    entities = contents(tmp_path / "a.rrd")
+    for place in ("picture", "observed", "trail", *(f"k{k}" for k in range(6))):
+        assert entities[f"/film/{place}"] == {"static", "log_time_s"}, place
+    pictures = [frame.data for frame in tuning.episode.frames()]  # type: ignore[union-attr]
+    assert (tmp_path / "a.rrd").stat().st_size > 0.9 * sum(map(len, pictures))
+
+
+def test_the_simulated_balls_are_projected_onto_the_observed_one(filmed_log: Path):
+    tuning = tune_log(filmed_log, Options())
+    film, story = tuning.found.film, story_of(tuning)
+    places = film.track.places_px[film.used]
+    late = film.drop.seconds > story.impact_s + 0.1
+    first, last = (
+        projected_places(film, story.simulated[k], story.drop_height_m)[late] for k in (0, -1)
+    )
+    assert np.sqrt(np.mean((last - places[late]) ** 2)) < 0.5
+    assert np.sqrt(np.mean((first - places[late]) ** 2)) > 5
+
+
+def test_a_rejected_film_shows_its_pictures(filmed_log: Path, tmp_path: Path):
+    frames = list(read_episode(filmed_log).frames())
+    with EpisodeWriter(tmp_path / "a.mcap", EpisodeInfo(), live=False) as writer:
+        for frame in frames[:15]:
+            writer.write_frame("/camera", frame)
+    tuning = tune_log(tmp_path / "a.mcap", Options())
+    assert tuning.verdict == "rejected"
+    write_review(tuning, tmp_path / "a.rrd")
+    verified(tmp_path / "a.rrd")
+    assert contents(tmp_path / "a.rrd")["/film/picture"] == {"log_time_s"}

@@ -154,17 +154,20 @@ def _look(table: Candidates, arc: Arc) -> Look:
 
 
 def _follow(table: Candidates, arc: Arc, look: Look) -> tuple[NDArray[np.intp], Array]:
-    """From the flight on, to both ends of the recording.
+    """From the middle of the flight on, to both ends of the recording.
 
     Returns:
         The candidate of each picture (-1 for none) and what speaks against it, shapes (T,).
     """
     chosen = np.full(len(table.seconds), -1)
     cost = np.full(len(table.seconds), np.inf)
-    chosen[arc.frames] = arc.chosen
-    cost[arc.frames] = _unlike(table, arc.frames, arc.chosen, look)
+    margin = max((len(arc.frames) - _LEAST_SEEN) // 2, 0)  # an arc may miss some near its ends
+    middle = slice(margin, len(arc.frames) - margin)
+    core, core_picks = arc.frames[middle], arc.chosen[middle]
+    chosen[core] = core_picks
+    cost[core] = _unlike(table, core, core_picks, look)
     for step in (1, -1):
-        frames, picks = arc.frames[::step], arc.chosen[::step]
+        frames, picks = core[::step], core_picks[::step]
         _follow_on(table, frames, picks, arc.gravity_px, look, step, chosen, cost)
     return chosen, cost
 
