@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tunenet_logs.commandline import Parser, run, whole
-from tunenet_logs.errors import WeightsError
+from tunenet_logs.errors import UsageError, WeightsError
 
 _DESCRIPTION = """\
 Simulate pairs of episodes on all cores, train the network on them, and write its
@@ -18,6 +18,7 @@ ships were written by this command, with its defaults."""
 
 _EXAMPLES = """\
   tunenet-train drop -o drop.safetensors
+  tunenet-train drop-video -o film.safetensors       (a minute on two cores)
   tunenet-train drop --preset paper-code --seed 3 -o paper-code-3.safetensors
   tunenet-tune drop.mcap --weights drop.safetensors"""
 
@@ -93,7 +94,11 @@ def _train(arguments: argparse.Namespace) -> int:
     from analysis.tunenet.training import one_step_error, train
     from tunenet_logs.progress import Progress
 
-    preset = TASKS[arguments.task].presets[arguments.preset]
+    presets = TASKS[arguments.task].presets
+    if arguments.preset not in presets:
+        known = ", ".join(presets)
+        raise UsageError(f"{arguments.task} has no preset {arguments.preset!r}; there is: {known}")
+    preset = presets[arguments.preset]
     progress = Progress(quiet=arguments.quiet)
     start = time.perf_counter()
     pairs = preset.make_pairs(arguments.pairs, arguments.seed, arguments.jobs, progress)

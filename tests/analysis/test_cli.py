@@ -88,6 +88,14 @@ def test_train_writes_weights_that_tune_takes(command: Command, drop_log: Path, 
     assert "--overwrite" in again.stderr
 
 
+def test_a_preset_that_a_task_does_not_have_is_one_line(command: Command, tmp_path: Path):
+    words = ["--preset", "paper-code", "-o", tmp_path / "w.safetensors"]
+    result = command("tunenet-train", "drop-video", *words)
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert "default, paper" in result.stderr
+
+
 @pytest.mark.parametrize(
     "name", ["tunenet-tune", "tunenet-train", "tunenet-record", "tunenet-logs"]
 )

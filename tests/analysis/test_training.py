@@ -30,6 +30,29 @@ def test_a_short_training_beats_no_training(name: str):
     assert one_step_error(model, fresh) < 0.5 * one_step_error(untrained, fresh)
 
 
+def test_a_short_training_on_films_beats_no_training():
+    preset = TASKS["drop-video"].presets["default"]
+    pairs = preset.make_pairs(120, 0, 2, QUIET)
+    assert np.isfinite(pairs.observations[pairs.target]).any(axis=(1, 2)).all()
+    assert set(pairs.proposed.tolist()).isdisjoint(pairs.target.tolist())
+    model = train(preset.network, pairs, replace(preset.recipe, epochs=60), 0, QUIET)
+    rng = np.random.default_rng(0)
+    inputs = pairs.observations.shape[1]
+    untrained = replace(model, weights=initial_weights(preset.network, inputs, 1, rng))
+    assert one_step_error(model, pairs) < 0.5 * one_step_error(untrained, pairs)
+
+
+def test_the_papers_pairs_of_films_show_z_beside_the_pictures_y():
+    pairs = TASKS["drop-video"].presets["paper"].make_pairs(12, 0, 1, QUIET)
+    simulated, filmed = pairs.observations[pairs.proposed], pairs.observations[pairs.target]
+    assert simulated.shape == filmed.shape == (12, 400, 1)
+    assert 0.78 < simulated[:, 0].min() <= simulated[:, 0].max() < 1.02
+    assert (simulated[:, 0] > simulated[:, -1]).all()
+    assert (filmed >= 0).all()
+    assert (filmed <= 1).all()
+    assert (filmed[:, 0] < filmed[:, -1]).all()
+
+
 def test_the_same_seed_gives_the_same_weights():
     preset = PRESETS["default"]
     pairs = preset.make_pairs(100, 0, 1, QUIET)
