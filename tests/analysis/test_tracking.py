@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from analysis.observe.film import find_filmed_drop
 from analysis.observe.tracking.pictures import Pictures
 from analysis.observe.tracking.projected import projected_track
 from analysis.observe.tracking.track import Hints, Track, track_ball
@@ -16,7 +17,8 @@ from recorders.simulated_drop import DropOrder, simulate_drop
 from recorders.simulators.drop import TOPIC
 from recorders.simulators.pinhole import PinholeCamera
 from tests.conftest import real
-from tunenet_logs.episode import Episode, Frame
+from tests.strangers import bounce_heights
+from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame
 from tunenet_logs.errors import NotFoundError, UsageError
 from tunenet_logs.reader import read_episode
 
@@ -94,6 +96,37 @@ def test_projection_stands_in_for_rendering(episode: Episode):
     off = (rendered.places_px - projected.places_px)[rendered.found & projected.found]
     assert np.abs(np.median(off, axis=0)).max() < 1
     assert off.std(axis=0).max() < 0.2
+
+
+@pytest.mark.parametrize(
+    ("ball", "wall", "rate_hz"),
+    [(40, 190, 30.0), (110, 170, 60.0), (235, 90, 30.0), (20, 230, 24.0)],
+)
+def test_a_grey_ball_before_a_grey_wall_casting_a_shadow(ball: int, wall: int, rate_hz: float):
+    """Drawn here: a ball without colour differs from the wall as its own shadow does."""
+    import cv2
+
+    times = np.arange(round(2.2 * rate_hz)) / rate_hz - 0.25
+    rows = 430 - 380 * bounce_heights(0.75, 1.0, times)
+    rng = np.random.default_rng(4)
+    frames = []
+    for index, row in enumerate(rows):
+        pixels = np.full((480, 360, 3), wall, np.uint8)
+        dark = int(0.75 * wall)
+        width = int(16 + 0.1 * (430 - row))
+        cv2.ellipse(pixels, (180, 443), (width, 5), 0, 0, 360, (dark, dark, dark), -1, cv2.LINE_AA)
+        place = (180 * 16, round(float(row) * 16))
+        cv2.circle(pixels, place, 12 * 16, (ball, ball, ball), -1, cv2.LINE_AA, 4)
+        noisy = np.clip(pixels + rng.normal(0, 3, pixels.shape), 0, 255).astype(np.uint8)
+        stamp_ns = round(index * 1e9 / rate_hz)
+        frames.append(Frame(stamp_ns, "rgb8", noisy.tobytes(), (360, 480)))
+    channel = Channel("video", "drawn", "video", len(frames), 0, 1, pictures=True)
+    drawn = Episode(EpisodeInfo(), {}, (channel,), open_frames=lambda _topic: iter(frames))
+    track = tracked(drawn)
+    assert track.found.mean() > 0.97
+    off = (track.places_px - np.column_stack([np.full(len(rows), 180.0), rows]))[track.found]
+    assert (off - np.median(off, axis=0)).std(axis=0).max() < 0.5
+    assert find_filmed_drop(track, 0).projection.first_flight == pytest.approx(0.75, abs=0.01)
 
 
 def test_a_picture_without_the_ball_is_a_gap(episode: Episode):

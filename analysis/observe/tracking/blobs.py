@@ -14,6 +14,12 @@ Array = NDArray[np.float64]
 
 _MOST = 12
 _LEAST_AREA_PX = 5
+_ALIKE = 0.06
+"""Squared sine of the angle between two differences of colour that cannot be told apart."""
+
+_SHADOW_SHARE = 0.3
+"""As much of a dark ball's own darkness may be a shadow."""
+
 _BIG = 0.05
 """Share of the picture that no ball takes."""
 
@@ -111,9 +117,13 @@ def _ball_share(
     bb = (shade**2).sum(axis=1) + 1.0
     ab = (towards * shade).sum(axis=1)
     ya, yb = (off * towards).sum(axis=1), (off * shade).sum(axis=1)
-    share = (ya * bb - yb * ab) / np.maximum(aa * bb - ab**2, 1e-3 * aa * bb)
-    shadow = (yb * aa - ya * ab) / np.maximum(aa * bb - ab**2, 1e-3 * aa * bb)
+    apart = np.maximum(aa * bb - ab**2, 1e-3 * aa * bb)
+    share = (ya * bb - yb * ab) / apart
+    shadow = (yb * aa - ya * ab) / apart
     share = np.where(shadow < 0, ya / aa, share)
+    # A dark ball differs from what is behind it as a shadow does, only by more.
+    alike = apart < _ALIKE * aa * bb
+    share = np.where(alike, (ya / aa - _SHADOW_SHARE) / (1 - _SHADOW_SHARE), share)
     share = np.where(aa < 300, 0.0, share)  # background of the ball's own colour tells nothing
     return np.clip(share, 0.0, 1.0)
 

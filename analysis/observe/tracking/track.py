@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -22,6 +23,7 @@ Picture = NDArray[np.uint8]
 
 _LOST_S = 0.4
 _LEAST_SEEN = 8
+_RECENT = 4
 
 
 @dataclass(frozen=True)
@@ -188,11 +190,13 @@ def _follow_on(
     seconds = table.seconds
     span = seconds[last] - seconds[before]
     velocity = (place - table.places_px[before, picks[-2]]) / span + gravity * span / 2
+    speeds = deque([float(np.linalg.norm(velocity))], maxlen=_RECENT)
     frame = last + step
     while 0 <= frame < len(seconds) and abs(seconds[frame] - seconds[last]) < _LOST_S:
         dt = seconds[frame] - seconds[last]
         expected = place + velocity * dt + gravity * dt**2 / 2
-        speed = float(np.linalg.norm(velocity)) + float(np.linalg.norm(gravity)) * abs(dt)
+        # A bounce between two pictures makes the way between them short, and the next one long.
+        speed = max(speeds) + float(np.linalg.norm(gravity)) * abs(dt)
         off = np.linalg.norm(table.places_px[frame] - expected, axis=1)
         moved = np.linalg.norm(table.places_px[frame] - place, axis=1)
         reach = 1.3 * speed * abs(dt) + radius + 2
@@ -204,6 +208,7 @@ def _follow_on(
         if best >= 0 and against[best] < 12:
             new = table.places_px[frame, best]
             velocity = (new - place) / dt + gravity * dt / 2
+            speeds.append(float(np.linalg.norm(velocity)))
             place, last = new, frame
             chosen[frame], cost[frame] = best, against[best]
         frame += step
