@@ -19,7 +19,7 @@ from analysis.tunenet.checkpoint import load_model, shipped_model
 from analysis.tunenet.network import Model
 from recorders.simulators.base import Parameter
 from tunenet_logs.episode import Episode
-from tunenet_logs.errors import NotFoundError, TuneNetError, UsageError
+from tunenet_logs.errors import LogError, NotFoundError, TuneNetError, UsageError
 from tunenet_logs.reader import read_episode
 
 Verdict = Literal["ok", "suspect", "rejected"]
@@ -128,9 +128,9 @@ def tune_log(path: Path, options: Options) -> Tuning:
     try:
         found = task.find(episode, options.selection, options.preset)
         problem = task.problem(found, _initial(task, options))
-    except NotFoundError as error:
+    except (NotFoundError, LogError) as error:
         watch.lap("observe")
-        return replace(rejected, reason=str(error))
+        return replace(rejected, reason=str(error).removeprefix(f"{path}: "))
     watch.lap("observe")
     trace = _with_last_look(TuneNet(model).estimate(problem, options.iterations), problem)
     checks = task.checks(found, trace.steps[-1])

@@ -11,6 +11,7 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from analysis.observe.film import FilmedDrop
+from analysis.observe.tracking.pictures import readable_frames
 from analysis.review.sending import at_seconds, screen_radius
 from analysis.review.story import OBSERVED, Curve, Story
 from analysis.tuning import Tuning
@@ -59,11 +60,10 @@ def log_recorded_film(stream: rr.RecordingStream, tuning: Tuning) -> bool:
     total = sum(one.messages for one in episode.channels if one.topic == episode.picture_topics[0])
     every = max(1, -(-total // _MOST_RECORDED))
     frames: list[Frame] = []
-    with suppress(LogError):  # the pictures before the damage are shown
-        for index, frame in enumerate(episode.frames()):
-            if index % every == 0:
-                with suppress(LogError):
-                    frames.append(_reduced(frame))
+    for index, frame in enumerate(readable_frames(episode, episode.picture_topics[0])):
+        if index % every == 0:
+            with suppress(LogError):
+                frames.append(_reduced(frame))
     if frames:
         start_ns = frames[0].stamp_ns
         _send_pictures(stream, frames, start_ns)
@@ -162,7 +162,7 @@ def _frames_of(tuning: Tuning, film: FilmedDrop) -> Iterator[Frame]:
     assert tuning.episode is not None
     stamps = film.track.stamps_ns[film.used]
     shown: list[Frame] = []
-    for frame in tuning.episode.frames(tuning.found.topic):
+    for frame in readable_frames(tuning.episode, tuning.found.topic):
         if not stamps[0] <= frame.stamp_ns <= stamps[-1]:
             continue
         try:

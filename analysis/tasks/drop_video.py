@@ -57,6 +57,9 @@ class DropVideoTask:
         physical = PRESETS[preset].physical
         target = canonical_film(film) if physical else _paper_target(film)
         warnings, rig = [], episode.info.rig
+        told = sum(one.messages for one in episode.channels if one.topic == topic)
+        if selection.end_s is None and pictures.opened < told:
+            warnings.append(f"only {pictures.opened} of {told} pictures can be read: damaged there")
         if pictures.damaged:
             warnings.append(f"{pictures.damaged} damaged pictures were left out")
         if not physical:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ class Pictures:
         start_ns: stamp of the topic's first picture, selected or not.
         size_px: (width, height) before reduction.
         scale: by which they are reduced, a whole number.
+        opened: pictures of the topic that the file still holds, selected or not.
         damaged: pictures that could not be decoded and are left out.
         samples: 32 to 64 of the pictures, evenly over the recording (all of a short one), reduced.
         sampled: their numbers, increasing.
@@ -54,6 +56,7 @@ class Pictures:
         self.size_px = (0, 0)
         self.scale = 1
         self.damaged = 0
+        self.opened = 0
         self.samples: list[Picture] = []
         stamps: list[int] = []
         every = 1
@@ -118,7 +121,8 @@ class Pictures:
         return x / self.scale, y / self.scale, at_s - before_s
 
     def _selected(self) -> Iterator[tuple[int, Frame]]:
-        for index, frame in enumerate(self._episode.frames(self._topic)):
+        for index, frame in enumerate(readable_frames(self._episode, self._topic)):
+            self.opened = index + 1
             if index == 0:
                 self.start_ns = frame.stamp_ns
             since_s = (frame.stamp_ns - self.start_ns) * 1e-9
@@ -137,3 +141,9 @@ class Pictures:
         size = (width // self.scale, height // self.scale)
         cut = picture[: size[1] * self.scale, : size[0] * self.scale]
         return np.asarray(cv2.resize(cut, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def readable_frames(episode: Episode, topic: str) -> Iterator[Frame]:
+    """The frames of a topic, as far as its file is whole."""
+    with suppress(LogError):
+        yield from episode.frames(topic)
