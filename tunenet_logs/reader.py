@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Set
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -17,7 +17,7 @@ from tunenet_logs.formats import ros2_cdr
 from tunenet_logs.formats.mcap_container import MAGIC, read_records
 from tunenet_logs.formats.video import read_video
 from tunenet_logs.messages import COMPRESSED_IMAGE
-from tunenet_logs.stamps import order_samples
+from tunenet_logs.stamps import order_samples, trusts_header
 from tunenet_logs.writer import INFO_RECORD
 
 _LAST_NS = 2**63 - 1
@@ -43,6 +43,10 @@ class _Gathered:
     def type_name(self) -> str:
         return self.schema.name if self.schema else ""
 
+    @property
+    def is_pictures(self) -> bool:
+        return self.skipped is None and self.type_name == COMPRESSED_IMAGE
+
     def add(self, message: Message) -> None:
         self.first_ns = min(self.first_ns, message.log_time) if self.messages else message.log_time
         self.last_ns = max(self.last_ns, message.log_time)
@@ -58,6 +62,11 @@ class _Gathered:
             self.header_ns.append(stamp_ns)
             self.log_ns.append(message.log_time)
             self.rows.append(row)
+        elif self.is_pictures:
+            try:
+                self.header_ns.append(ros2_cdr.decode_image(message.data)[0])
+            except LogError:
+                self.damaged += 1
 
 
 def read_episode(path: Path) -> Episode:
@@ -89,12 +98,13 @@ def read_episode(path: Path) -> Episode:
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror})") from error
     signals, notes = _signals(gathered.values())
+    by_log = _untold(gathered.values(), notes)
     return Episode(
         info=EpisodeInfo.from_strings(info),
         signals=signals,
         channels=tuple(_summary(one) for one in gathered.values()),
         warnings=tuple(losses + notes),
-        open_frames=partial(_frames, path),
+        open_frames=partial(_frames, path, by_log),
     )
 
 
@@ -148,6 +158,18 @@ def _signals(channels: Iterable[_Gathered]) -> tuple[dict[str, Signal], list[str
     return signals, notes
 
 
+def _untold(channels: Iterable[_Gathered], notes: list[str]) -> set[str]:
+    """Topics of pictures whose header stamps do not tell the time; reasons go into `notes`."""
+    untold: set[str] = set()
+    for one in channels:
+        if one.is_pictures and one.header_ns:
+            is_header, reasons = trusts_header(np.array(one.header_ns, np.int64))
+            notes += [f"{one.channel.topic}: {reason}" for reason in reasons]
+            if not is_header:
+                untold.add(one.channel.topic)
+    return untold
+
+
 def _summary(one: _Gathered) -> Channel:
     return Channel(
         topic=one.channel.topic,
@@ -161,8 +183,14 @@ def _summary(one: _Gathered) -> Channel:
     )
 
 
-def _frames(path: Path, topic: str) -> Iterator[Frame]:
-    """The frames of one image channel, read afresh from the file."""
+def _frames(path: Path, by_log: Set[str], topic: str) -> Iterator[Frame]:
+    """The frames of one image channel, read afresh from the file.
+
+    Args:
+        path: the log.
+        by_log: topics whose header stamps do not tell the time.
+        topic: the channel.
+    """
     schemas: dict[int, Schema] = {}
     chosen: int | None = None
     for record in read_records(path, []):
@@ -178,4 +206,5 @@ def _frames(path: Path, topic: str) -> Iterator[Frame]:
                 stamp_ns, encoding, data = ros2_cdr.decode_image(record.data)
             except LogError:
                 continue
-            yield Frame(stamp_ns or record.log_time, encoding, data)
+            is_told = stamp_ns != 0 and topic not in by_log
+            yield Frame(stamp_ns if is_told else record.log_time, encoding, data)

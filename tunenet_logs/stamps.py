@@ -9,6 +9,21 @@ _MAX_REVERSALS = 0.1
 _MIN_DIFFERENT = 0.1
 
 
+def trusts_header(header_ns: NDArray[np.int64]) -> tuple[bool, list[str]]:
+    """Whether a channel's header stamps tell the time; if not for a reason to hear of, that too.
+
+    Args:
+        header_ns: acquisition stamps of T messages in file order [ns]; 0 where not set.
+    """
+    if np.count_nonzero(header_ns == 0) > 1:
+        return False, []
+    if len(np.unique(header_ns)) <= _MIN_DIFFERENT * len(header_ns):
+        return False, ["header stamps hardly change, so the log's own times are used"]
+    if np.count_nonzero(np.diff(header_ns) < 0) > _MAX_REVERSALS * len(header_ns):
+        return False, ["header stamps run backwards, so the log's own times are used"]
+    return True, []
+
+
 def order_samples(
     header_ns: NDArray[np.int64], log_ns: NDArray[np.int64]
 ) -> tuple[NDArray[np.intp], NDArray[np.int64], list[str]]:
@@ -23,18 +38,8 @@ def order_samples(
     Returns:
         Indices of the samples to keep, their stamps (strictly increasing), and what was repaired.
     """
-    notes: list[str] = []
-    stamps = header_ns
-    unset = int(np.count_nonzero(header_ns == 0))
-    backwards = int(np.count_nonzero(np.diff(header_ns) < 0))
-    if unset > 1:
-        stamps = log_ns
-    elif len(np.unique(header_ns)) <= _MIN_DIFFERENT * len(header_ns):
-        stamps = log_ns
-        notes.append("header stamps hardly change, so the log's own times are used")
-    elif backwards > _MAX_REVERSALS * len(header_ns):
-        stamps = log_ns
-        notes.append("header stamps run backwards, so the log's own times are used")
+    is_header, notes = trusts_header(header_ns)
+    stamps = header_ns if is_header else log_ns
     order = np.argsort(stamps, kind="stable")
     reversals = int(np.count_nonzero(np.diff(stamps) < 0))
     ordered = stamps[order]

@@ -60,6 +60,8 @@ class DropVideoTask:
         told = sum(one.messages for one in episode.channels if one.topic == topic)
         if selection.end_s is None and pictures.opened < told:
             warnings.append(f"only {pictures.opened} of {told} pictures can be read: damaged there")
+        if pictures.other_size:
+            warnings.append(f"{pictures.other_size} pictures of another size were left out")
         if pictures.damaged:
             warnings.append(f"{pictures.damaged} damaged pictures were left out")
         if not physical:

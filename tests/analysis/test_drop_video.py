@@ -19,6 +19,7 @@ from recorders.simulated_drop import DropOrder
 from tests.conftest import ROOT, Command, film, real
 from tests.recorders.mjpeg_camera import playing
 from tests.strangers import Stranger, write_poses
+from tunenet_logs import messages
 from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.errors import UsageError
 from tunenet_logs.progress import Progress
@@ -193,6 +194,41 @@ def test_damaged_pictures_among_good_ones_are_counted(tmp_path: Path, filmed_log
     tuning = tune_log(with_frames(tmp_path / "a.mcap", frames), Options())
     assert value(tuning) == pytest.approx(0.7, abs=0.01)
     assert "1 damaged pictures were left out" in tuning.warnings
+
+
+@pytest.mark.parametrize("stamps", ["none", "constant", "backwards"])
+def test_header_stamps_that_do_not_tell_the_time(tmp_path: Path, filmed_log: Path, stamps: str):
+    """As drivers write them that do not know when; the log's own times are used."""
+    frames = list(read_episode(filmed_log).frames())
+    told = {"none": lambda _: 0, "constant": lambda _: 7, "backwards": lambda ns: 10**12 - ns}
+    path = tmp_path / "a.mcap"
+    with EpisodeWriter(path, EpisodeInfo(kind="drop"), live=False) as writer:
+        for frame in frames:
+            stamp_ns = told[stamps](frame.stamp_ns)
+            data = messages.compressed_image(stamp_ns, "camera", "jpeg", frame.data)
+            writer._write("/cam", messages.COMPRESSED_IMAGE, frame.stamp_ns, data)
+    assert value(tune_log(path, Options())) == pytest.approx(0.7, abs=0.01)
+
+
+def test_pictures_of_another_size_are_left_out(tmp_path: Path, filmed_log: Path):
+    import cv2
+
+    frames = list(read_episode(filmed_log).frames())
+    small = cv2.imencode(".jpg", np.zeros((60, 80, 3), np.uint8))[1].tobytes()
+    frames[0] = replace(frames[0], data=small)
+    frames[9] = replace(frames[9], data=small)
+    tuning = tune_log(with_frames(tmp_path / "a.mcap", frames), Options())
+    assert value(tuning) == pytest.approx(0.7, abs=0.01)
+    assert "2 pictures of another size were left out" in tuning.warnings
+
+
+def test_a_video_with_a_hole_is_read_as_far_as_it_is_whole(command: Command, tmp_path: Path):
+    data = bytearray(real("videos/red_ball_drop_120fps.mp4").read_bytes())
+    data[1_700_000:1_700_400] = bytes(400)
+    (tmp_path / "hole.mp4").write_bytes(data)
+    result = command("tunenet-tune", tmp_path / "hole.mp4", "-o", tmp_path)
+    assert "Traceback" not in result.stderr
+    assert json.loads((tmp_path / "hole.json").read_text())["verdict"] in ("suspect", "rejected")
 
 
 def test_a_box_outside_the_picture_is_wrong_usage(

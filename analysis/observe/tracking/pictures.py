@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from tunenet_logs.episode import Episode, Frame
 from tunenet_logs.errors import LogError, NotFoundError, UsageError
+from tunenet_logs.images import image_size
 
 Picture = NDArray[np.uint8]
 
@@ -26,6 +28,7 @@ class Pictures:
         start_ns: stamp of the topic's first picture, selected or not.
         size_px: (width, height) before reduction.
         scale: by which they are reduced, a whole number.
+        other_size: pictures of another size than most, left out.
         opened: pictures of the topic that the file still holds, selected or not.
         damaged: pictures that could not be decoded and are left out.
         samples: 32 to 64 of the pictures, evenly over the recording (all of a short one), reduced.
@@ -53,14 +56,15 @@ class Pictures:
         self._start_s = start_s
         self._end_s = end_s
         self.start_ns = 0
-        self.size_px = (0, 0)
-        self.scale = 1
         self.damaged = 0
         self.opened = 0
+        self.other_size = 0
         self.samples: list[Picture] = []
         stamps: list[int] = []
         every = 1
         self._kept: set[int] = set()
+        self.size_px = self._usual_size()
+        self.scale = max(1, int(np.ceil(np.sqrt(np.prod(self.size_px) / _MOST_PIXELS))))
         for index, frame in self._selected():
             try:
                 picture = frame.decode()
@@ -68,9 +72,7 @@ class Pictures:
                 self.damaged += 1
                 continue
             height, width = picture.shape[:2]
-            if not stamps:
-                self.size_px = (width, height)
-                self.scale = max(1, int(np.ceil(np.sqrt(width * height / _MOST_PIXELS))))
+            self.other_size += (width, height) != self.size_px
             if (width, height) == self.size_px and (not stamps or frame.stamp_ns > stamps[-1]):
                 if len(stamps) % every == 0:
                     self.samples.append(self._reduced(picture))
@@ -119,6 +121,16 @@ class Pictures:
             raise UsageError(f"--ball-at {x:g},{y:g} is not in the picture of {wide} x {tall} px")
         before_s = (int(self.stamps_ns[0]) - self.start_ns) * 1e-9
         return x / self.scale, y / self.scale, at_s - before_s
+
+    def _usual_size(self) -> tuple[int, int]:
+        """The size that most of the pictures claim."""
+        sizes: Counter[tuple[int, int]] = Counter()
+        for _, frame in self._selected():
+            with suppress(LogError):
+                sizes[frame.size or image_size(frame.data)] += 1
+            if frame.size is not None:
+                break  # the pictures of a video are of one size
+        return sizes.most_common(1)[0][0] if sizes else (1, 1)
 
     def _selected(self) -> Iterator[tuple[int, Frame]]:
         for index, frame in enumerate(readable_frames(self._episode, self._topic)):
