@@ -26,7 +26,7 @@ def command() -> Command:
 
     def run(name: str, *arguments: object, cwd: Path | None = None):
         words = [str(BIN / name), *(str(one) for one in arguments)]
-        return subprocess.run(words, cwd=cwd, capture_output=True, text=True, timeout=120)
+        return subprocess.run(words, cwd=cwd, capture_output=True, text=True, timeout=300)
 
     return run
 

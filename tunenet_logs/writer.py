@@ -47,6 +47,8 @@ class EpisodeWriter:
     def __init__(
         self, path: Path, info: EpisodeInfo, *, overwrite: bool = False, live: bool = True
     ) -> None:
+        if path.is_dir():
+            raise LogError(f"{path}: is a directory; name a file to write")
         self.path = path
         self.info = info
         self.active_path = path.with_name(path.name + ACTIVE_SUFFIX)
@@ -55,8 +57,6 @@ class EpisodeWriter:
         self._sequences: dict[str, int] = {}
         self._failed = False
         self._live = live
-        if path.is_dir():
-            raise LogError(f"{path}: is a directory; name a file to write")
         if path.exists() and not overwrite:
             raise LogError(f"{path}: exists; choose another name with -o, or pass --overwrite")
         if self.active_path.exists() and not overwrite:

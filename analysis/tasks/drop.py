@@ -89,7 +89,7 @@ def _candidates(episode: Episode, selection: Selection) -> list[Signal]:
     if selection.topic is not None:
         if selection.topic in episode.signals:
             return [episode.signals[selection.topic]]
-        known = ", ".join(sorted(episode.signals)) or "none"
+        known = ", ".join(sorted({*episode.signals, *episode.picture_topics})) or "none"
         raise NotFoundError(f"no usable topic {selection.topic}; there is: {known}")
     positions = [one for one in episode.signals.values() if one.columns == ("x", "y", "z")]
     if not positions:

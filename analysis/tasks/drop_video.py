@@ -24,6 +24,7 @@ from tunenet_logs.errors import NotFoundError
 Array = NDArray[np.float64]
 
 _AGREEMENT = 0.03
+_AGREEMENT_OF_FLIGHTS = 0.04
 _FIT = 0.015
 _MOST_GAP_FALLS = 0.15
 
@@ -46,8 +47,19 @@ class DropVideoTask:
         return PRESETS
 
     def find(self, episode: Episode, selection: Selection, preset: str) -> FoundDrop:
-        """The first drop that the pictures show; see `Task.find`."""
-        topic = selection.topic or episode.picture_topics[0]
+        """The first drop that pictures show, camera by camera; see `Task.find`."""
+        topics = episode.picture_topics if selection.topic is None else (selection.topic,)
+        reasons: list[str] = []
+        for topic in topics:
+            try:
+                return self._find_in(episode, topic, selection, preset)
+            except NotFoundError as reason:
+                reasons.append(str(reason) if len(topics) == 1 else f"{topic}: {reason}")
+        raise NotFoundError("; ".join(reasons))
+
+    def _find_in(
+        self, episode: Episode, topic: str, selection: Selection, preset: str
+    ) -> FoundDrop:
         pictures = Pictures(episode, topic, selection.start_s, selection.end_s)
         hints = selection.hints
         if hints == Hints():
@@ -104,7 +116,7 @@ class DropVideoTask:
         if len(projection.impacts) > 2 and last_s > projection.impacts[2]:
             flights = np.diff(projection.impacts)
             value, method = float(flights[1] / flights[0]), "durations of the first two flights"
-            margin = 2 * _AGREEMENT + 3 * projection.flight_ratio_sd
+            margin = _AGREEMENT_OF_FLIGHTS + 3 * projection.flight_ratio_sd
         else:
             value, method = projection.first_flight, "duration of the first flight"
             margin = _AGREEMENT + 3 * projection.flight_ratio_sd

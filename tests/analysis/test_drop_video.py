@@ -123,6 +123,18 @@ def test_positions_come_before_pictures_unless_a_topic_says_so(filmed_log: Path,
     assert camera.found.topic == "/webcam"
 
 
+def test_the_camera_that_sees_the_drop_is_found(filmed_log: Path, tmp_path: Path):
+    frames = list(read_episode(filmed_log).frames())
+    path = tmp_path / "two.mcap"
+    with EpisodeWriter(path, EpisodeInfo(kind="drop"), live=False) as writer:
+        for frame in frames:
+            writer.write_frame("/a_still", replace(frames[0], stamp_ns=frame.stamp_ns))
+            writer.write_frame("/b_drop", frame)
+    tuning = tune_log(path, Options())
+    assert value(tuning) == pytest.approx(0.7, abs=0.01)
+    assert tuning.found.topic == "/b_drop"
+
+
 def test_part_of_a_film(filmed_log: Path):
     whole = tune_log(filmed_log, Options())
     part = tune_log(filmed_log, Options(selection=Selection(start_s=0.4, end_s=2.0)))

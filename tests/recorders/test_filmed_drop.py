@@ -154,3 +154,11 @@ def test_a_bad_order_is_one_line_that_names_it(
     assert result.stderr.count("\n") == 1
     assert named in result.stderr
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("place", [".", "/"])
+def test_a_folder_is_no_log(command: Command, tmp_path: Path, place: str):
+    result = command("tunenet-record", "--simulate", "drop", "-o", place, cwd=tmp_path)
+    assert result.returncode == 1
+    assert result.stderr.count("\n") == 1
+    assert "is a directory" in result.stderr
