@@ -88,9 +88,7 @@ def film_drop(order: DropOrder, film: FilmOrder) -> Episode:
         topic=CAMERA_TOPIC,
         type_name=COMPRESSED_IMAGE,
         encoding="cdr",
-        messages=int(kept.sum()),
-        first_ns=int(stamps_ns[0]),
-        last_ns=int(stamps_ns[kept][-1]),
+        log_ns=stamps_ns[kept],
         pictures=True,
     )
     return Episode(info, {}, (channel,), open_frames=frames)

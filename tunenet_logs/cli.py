@@ -72,7 +72,9 @@ def _episode_lines(info: EpisodeInfo) -> list[str]:
 
 
 def _channel_row(channel: Channel) -> tuple[str, ...]:
-    duration_s = (channel.last_ns - channel.first_ns) * 1e-9
+    import numpy as np
+
+    duration_s = float(np.ptp(channel.log_ns)) * 1e-9 if channel.messages else 0.0
     rate = f"{(channel.messages - 1) / duration_s:.1f} Hz" if duration_s > 0 else "-"
     return (
         channel.topic,

@@ -153,11 +153,12 @@ class EpisodeInfo:
         return replace(self, counts={**self.counts, **counts}, notes=notes)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Channel:
     """One channel of a log, as `tunenet-logs info` shows it.
 
     Attributes:
+        log_ns: the log's own stamps of its messages [ns], int64, shape (T,), in file order.
         skipped: why its messages are not used; None where they are.
         pictures: whether its messages are images that `Episode.frames` gives.
     """
@@ -165,11 +166,14 @@ class Channel:
     topic: str
     type_name: str
     encoding: str
-    messages: int
-    first_ns: int
-    last_ns: int
+    log_ns: NDArray[np.int64]
     skipped: str | None = None
     pictures: bool = False
+
+    @property
+    def messages(self) -> int:
+        """How many there are."""
+        return len(self.log_ns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,6 +185,7 @@ class Episode:
         signals: by name (a log's topic).
         channels: every channel of the log, those that were skipped too.
         warnings: what was lost, repaired or doubtful on the way, in words.
+        losses: those of them that mean damage: where it is, and how much was lost.
         open_frames: opens a fresh iterator over the frames of one of `picture_topics`.
     """
 
@@ -188,12 +193,19 @@ class Episode:
     signals: Mapping[str, Signal]
     channels: tuple[Channel, ...] = ()
     warnings: tuple[str, ...] = ()
+    losses: tuple[str, ...] = ()
     open_frames: Callable[[str], Iterator[Frame]] | None = None
 
     @property
     def picture_topics(self) -> tuple[str, ...]:
         """Channels of images, in the order of the log."""
         return tuple(one.topic for one in self.channels if one.pictures and one.skipped is None)
+
+    def signals_of(self, topic: str) -> tuple[Signal, ...]:
+        """The signals that came from a topic, or the one of that name."""
+        if topic in self.signals:
+            return (self.signals[topic],)
+        return tuple(one for name, one in self.signals.items() if name.startswith(f"{topic}."))
 
     def frames(self, topic: str | None = None) -> Iterator[Frame]:
         """The images of a topic (the first if None) in the order of the log, one at a time."""

@@ -1,4 +1,4 @@
-"""The ROS 2 messages that logs hold: definition text, encoding, decoding.
+"""The ROS 2 messages that logs hold: definition text and encoding.
 
 Types and CDR serialization come from rosbags; the definitions are those of ROS 2 Humble, which the
 later distributions share for every type used here.
@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 POSE = "geometry_msgs/msg/PoseStamped"
@@ -20,12 +20,13 @@ COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 CAMERA_TOPIC = "/camera/image_raw/compressed"
 """Where a camera's frames go in our own logs."""
 
-_PARSERS = {"ros2msg": get_types_from_msg, "ros2idl": get_types_from_idl}
+INFO_RECORD = "tunenet/episode"
+"""The metadata record of a log that holds its EpisodeInfo."""
 
 
 @cache
 def typestore() -> Typestore:
-    """The store of message types that this project writes and reads."""
+    """The store of message types that this project writes."""
     return get_typestore(Stores.ROS2_HUMBLE)
 
 
@@ -33,19 +34,6 @@ def typestore() -> Typestore:
 def definition(type_name: str) -> str:
     """The `ros2msg` text of a type with all types that it contains."""
     return typestore().generate_msgdef(type_name, ros_version=2)[0]
-
-
-def same_definition(type_name: str, schema_encoding: str, text: str) -> bool:
-    """Whether a log's own schema lays the type out as ours does.
-
-    Raises:
-        Exception: whatever the parser makes of a damaged text; the reader turns it into a reason.
-    """
-    theirs = _PARSERS[schema_encoding](text, type_name)
-    ours = typestore().fielddefs
-    return type_name in theirs and all(
-        name in ours and list(ours[name][1]) == list(parsed[1]) for name, parsed in theirs.items()
-    )
 
 
 def _type(name: str) -> Any:
@@ -78,18 +66,3 @@ def compressed_image(stamp_ns: int, frame_id: str, encoding: str, data: bytes) -
 def encode(message: Any, type_name: str) -> bytes:
     """Little-endian CDR."""
     return bytes(typestore().serialize_cdr(message, type_name, little_endian=True))
-
-
-def decode(data: bytes, type_name: str) -> Any:
-    """CDR of either byte order to a message.
-
-    Raises:
-        SerdeError: `data` is not a message of that type.
-    """
-    return typestore().deserialize_cdr(data, type_name)
-
-
-def stamp_ns(message: Any) -> int:
-    """`header.stamp` [ns]."""
-    stamp = message.header.stamp
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)

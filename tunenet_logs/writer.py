@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from tunenet_logs import __version__, messages
 from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.errors import LogError
+from tunenet_logs.messages import INFO_RECORD
 
 ACTIVE_SUFFIX = ".active"
-INFO_RECORD = "tunenet/episode"
 _CHUNK_BYTES = 64 * 1024
 _FLUSH_SECONDS = 0.1
 

@@ -24,8 +24,8 @@ def picture(width: int = 64, height: int = 48, quality: int = 90) -> bytes:
 
 def episode_of(frames: list[Frame]) -> Episode:
     stamps = [frame.stamp_ns for frame in frames]
-    channel = Channel("/eye", "", "", len(frames), stamps[0], stamps[-1], pictures=True)
-    return Episode(EpisodeInfo(), {}, (channel,), (), lambda _topic: iter(frames))
+    channel = Channel("/eye", "", "", np.array(stamps), pictures=True)
+    return Episode(EpisodeInfo(), {}, (channel,), open_frames=lambda _topic: iter(frames))
 
 
 def test_long_recordings_are_thinned_evenly(monkeypatch: pytest.MonkeyPatch):

@@ -120,7 +120,7 @@ def test_a_grey_ball_before_a_grey_wall_casting_a_shadow(ball: int, wall: int, r
         noisy = np.clip(pixels + rng.normal(0, 3, pixels.shape), 0, 255).astype(np.uint8)
         stamp_ns = round(index * 1e9 / rate_hz)
         frames.append(Frame(stamp_ns, "rgb8", noisy.tobytes(), (360, 480)))
-    channel = Channel("video", "drawn", "video", len(frames), 0, 1, pictures=True)
+    channel = Channel("video", "drawn", "video", np.arange(len(frames)), pictures=True)
     drawn = Episode(EpisodeInfo(), {}, (channel,), open_frames=lambda _topic: iter(frames))
     track = tracked(drawn)
     assert track.found.mean() > 0.97

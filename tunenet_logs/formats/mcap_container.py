@@ -1,103 +1,329 @@
-"""MCAP as a stream of records: bounded, checked, and read as far as it is whole."""
+"""MCAP: records bounded and checked, read as far as the file is whole, and past what is not."""
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import struct
-from collections.abc import Iterator
+import zlib
+from collections.abc import Iterator, Sequence
+from io import BytesIO
 from pathlib import Path
+from typing import BinaryIO
 
-import lz4.frame
-import zstandard
+from mcap import records as mcap_records
+from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
-from mcap.records import Chunk, DataEnd, Footer, McapRecord
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.opcode import Opcode
+
+from tunenet_logs.formats.base import (
+    DAMAGED,
+    Loss,
+    RawAttachment,
+    RawChannel,
+    RawMessage,
+    RawMetadata,
+    Record,
+    described,
+)
+from tunenet_logs.formats.compression import MAX_PART_BYTES, Budget, unpack
 
 MAGIC = b"\x89MCAP0\r\n"
-MAX_CHUNK_BYTES = 256 * 1024 * 1024
 
-# What the libraries raise on damaged bytes, found by fuzzing them.
-DAMAGE = (
-    McapError,
-    struct.error,
-    ValueError,  # CRCValidationError and UnicodeDecodeError too
-    RuntimeError,  # lz4; RecursionError too
-    zstandard.ZstdError,
-    OverflowError,
-    KeyError,
-    MemoryError,
-)
+_DAMAGED = (*DAMAGED, McapError)
+_HEAD = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<HIQQ")
+_CHUNK = struct.Struct("<QQQII")
+_FOOTER = struct.Struct("<QQI")
+_BLOCK_BYTES = 1024 * 1024
+_USED_IN_CHUNK = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE))
+_USED_IN_SUMMARY = frozenset((Opcode.STATISTICS, Opcode.FOOTER))
+_USED = frozenset(
+    (Opcode.CHUNK, Opcode.METADATA, Opcode.ATTACHMENT, Opcode.DATA_END, Opcode.FOOTER)
+).union(_USED_IN_CHUNK)
+_NO_END = "the end of the file is missing (a recording that did not end?)"
+_CHUNK_MARKS = (b"\x04\x00\x00\x00zstd", b"\x03\x00\x00\x00lz4")
+"""A chunk's compression as it is stored: what to look for behind a damaged place."""
 
 
-def read_records(path: Path, losses: list[str]) -> Iterator[McapRecord]:
-    """Yield the records of `path` in file order, those inside chunks one by one.
-
-    Every CRC that the file carries is checked. A damaged chunk is left out, the first damage
-    outside a chunk ends the stream; both are put into `losses` in words.
-
-    Raises:
-        LogError: `path` is no MCAP file.
-    """
+def read_mcap(
+    path: Path, losses: list[Loss], topics: Sequence[str] | None = None
+) -> Iterator[Record]:
+    """The records of an MCAP file; see `Container`. Every CRC that the file carries is checked."""
     with open(path, "rb") as file:
-        size = os.fstat(file.fileno()).st_size
-        ended = False
-        protected = False
-        reader = StreamReader(
-            file, emit_chunks=True, validate_crcs=True, record_size_limit=max(size, 1)
-        )
+        yield from _Reading(file, losses, topics).records()
+
+
+class _Reading:
+    """One pass over a file."""
+
+    def __init__(self, file: BinaryIO, losses: list[Loss], topics: Sequence[str] | None) -> None:
+        self.file = file
+        self.size = os.fstat(file.fileno()).st_size
+        self.losses = losses
+        self.topics = topics
+        self.budget = Budget(self.size)
+        self.schemas: dict[int, mcap_records.Schema] = {}
+        self.channels: dict[int, RawChannel] = {}
+        self.summary: dict[int, RawChannel] | None = None
+        self.crc = 0
+        self.messages = 0  # of all topics, as far as they were read
+        self.unknown = 0  # of them, those whose channel nothing describes
+        self.told: int | None = None
+        self.is_protected = False
+        self.in_summary = False
+        self.ended = False
+
+    def records(self) -> Iterator[Record]:
+        at = len(self._read(len(MAGIC)))
+        while not self.ended:
+            head = self.file.read(_HEAD.size)
+            if len(head) < _HEAD.size:
+                self._lose(_NO_END, at)
+                break
+            opcode, length = _HEAD.unpack(head)
+            behind = at + _HEAD.size + length
+            if behind > self.size:
+                found = self._next_chunk(at + 1)
+                if found is None:
+                    self._lose(f"{_NO_END}; its last record is cut", at, self.size - at)
+                    break
+                what = f"a record claims {length} bytes; what follows was found again"
+                self._lose(what, at, found - at)
+                at = found
+                self.file.seek(at)
+                continue
+            yield from self._record(opcode, length, head, at)
+            at = behind
+        self._close()
+
+    def _record(self, opcode: int, length: int, head: bytes, at: int) -> Sequence[Record]:
+        before = self.crc
+        self.crc = zlib.crc32(head, before)
+        used = _USED_IN_SUMMARY if self.in_summary else _USED
+        if opcode not in used or length > MAX_PART_BYTES:
+            self._skip(length)
+            if opcode in used:
+                self._lose("a record is too large to be read", at, length)
+            return ()
+        body = self._read(length)
         try:
-            for record in reader.records:
-                if isinstance(record, Chunk):
-                    yield from _chunk_records(record, losses)
-                else:
-                    ended = ended or isinstance(record, Footer)
-                    protected = protected or (
-                        isinstance(record, DataEnd) and record.data_section_crc != 0
-                    )
-                    yield record
-        except DAMAGE as error:
-            if file.tell() >= size:
-                losses.append("the end of the file is missing (a recording that did not end?)")
+            if opcode == Opcode.CHUNK:
+                return self._chunk(memoryview(body))
+            if opcode == Opcode.DATA_END:
+                self._check_data(body, before)
+            elif opcode == Opcode.FOOTER:
+                self._check_end(body, zlib.crc32(body[:-4], zlib.crc32(head, before)))
             else:
-                losses.append(f"damaged before byte {file.tell()} of {size}: {_describe(error)}")
+                return self._parse(opcode, memoryview(body))
+        except _DAMAGED as error:
+            part = "chunk" if opcode == Opcode.CHUNK else "record"
+            self._lose(f"a damaged {part} was left out: {described(error)}", at, length + 9)
+        return ()
+
+    def _read(self, length: int) -> bytes:
+        data = self.file.read(length)
+        self.crc = zlib.crc32(data, self.crc)
+        return data
+
+    def _skip(self, length: int) -> None:
+        while length > 0:
+            length -= len(self._read(min(length, _BLOCK_BYTES))) or length
+
+    def _chunk(self, body: memoryview) -> Sequence[Record]:
+        """All records of a chunk; none of one that is damaged.
+
+        Raises:
+            ValueError: it is damaged.
+        """
+        _, _, stated, crc, length = _CHUNK.unpack_from(body)
+        at = _CHUNK.size + length
+        compression = bytes(body[_CHUNK.size : at]).decode("ascii", "replace")
+        (packed,) = struct.unpack_from("<Q", body, at)
+        if packed > len(body) - at - 8:
+            raise ValueError(f"it claims {packed} bytes")
+        if stated <= MAX_PART_BYTES:
+            self.budget.spend(stated)
+        plain = memoryview(unpack(body[at + 8 : at + 8 + packed], compression, stated))
+        if crc and zlib.crc32(plain) != crc:
+            raise ValueError("its checksum is wrong")
+        found: list[Record] = []
+        at = 0
+        while at < len(plain):
+            opcode, length = _HEAD.unpack_from(plain, at)
+            at += _HEAD.size
+            if length > len(plain) - at:
+                raise ValueError(f"a record inside claims {length} bytes")
+            if opcode in _USED_IN_CHUNK:
+                found += self._parse(opcode, plain[at : at + length])
+            elif opcode in _USED:
+                raise ValueError(f"it holds a record of kind {opcode}, which belongs outside")
+            at += length
+        return found
+
+    def _parse(self, opcode: int, body: memoryview) -> Sequence[Record]:
+        if opcode == Opcode.MESSAGE:
+            return self._message(body)
+        stream = ReadDataStream(_Exact(body))
+        if opcode == Opcode.SCHEMA:
+            schema = mcap_records.Schema.read(stream)
+            self.schemas.setdefault(schema.id, schema)
+        elif opcode == Opcode.CHANNEL:
+            channel = mcap_records.Channel.read(stream)
+            if channel.id not in self.channels:
+                self.channels[channel.id] = _described(channel, self.schemas)
+                return (self.channels[channel.id],)
+        elif opcode == Opcode.METADATA:
+            metadata = mcap_records.Metadata.read(stream)
+            return (RawMetadata(metadata.name, metadata.metadata),)
+        elif opcode == Opcode.STATISTICS:
+            self.told = mcap_records.Statistics.read(stream).message_count
+        elif opcode == Opcode.ATTACHMENT:
+            one = mcap_records.Attachment.read(stream)
+            log_ns, create_ns = one.log_time, one.create_time
+            return (RawAttachment(one.name, one.media_type, one.data, log_ns, create_ns),)
+        return ()
+
+    def _message(self, body: memoryview) -> Sequence[Record]:
+        number, sequence, log_ns, publish_ns = _MESSAGE.unpack_from(body)
+        channel = self.channels.get(number)
+        if channel is None:
+            return self._orphan(number, body)
+        self.messages += 1
+        if self.topics is not None and channel.topic not in self.topics:
+            return ()
+        return (RawMessage(channel, log_ns, body[_MESSAGE.size :], publish_ns, sequence),)
+
+    def _orphan(self, number: int, body: memoryview) -> Sequence[Record]:
+        """A message before its channel was described: that was in a damaged chunk perhaps."""
+        channel = self._channels_of_summary().get(number)
+        if channel is None:
+            self.unknown += 1
+            return ()
+        self.channels[number] = channel
+        return (channel, *self._message(body))
+
+    def _channels_of_summary(self) -> dict[int, RawChannel]:
+        """The channels as the end of the file repeats them; none where that is missing."""
+        if self.summary is None:
+            self.summary = {}
+            here = self.file.tell()
+            try:
+                self._read_summary(self.summary)
+            except _DAMAGED:
+                self.summary = {}
+            self.file.seek(here)
+        return self.summary
+
+    def _read_summary(self, found: dict[int, RawChannel]) -> None:
+        footer_at = self.size - len(MAGIC) - _HEAD.size - _FOOTER.size
+        self.file.seek(footer_at)
+        opcode, _ = _HEAD.unpack(self.file.read(_HEAD.size))
+        start, _, crc = _FOOTER.unpack(self.file.read(_FOOTER.size))
+        if opcode != Opcode.FOOTER or not 0 < start < footer_at:
             return
-        if not ended:
-            losses.append("the end of the file is missing")
-        elif not protected:
-            losses.append(
-                "the log carries no data checksum, so its integrity cannot be vouched for"
-            )
+        length = footer_at + _HEAD.size + _FOOTER.size - 4 - start
+        if length > MAX_PART_BYTES:
+            return
+        self.file.seek(start)
+        summary = memoryview(self.file.read(length))
+        if zlib.crc32(summary) != crc:
+            return
+        schemas: dict[int, mcap_records.Schema] = {}
+        at = 0
+        while at + _HEAD.size < len(summary):
+            opcode, length = _HEAD.unpack_from(summary, at)
+            at += _HEAD.size
+            stream = ReadDataStream(_Exact(summary[at : at + length]))
+            if opcode == Opcode.SCHEMA:
+                schema = mcap_records.Schema.read(stream)
+                schemas[schema.id] = schema
+            elif opcode == Opcode.CHANNEL:
+                channel = mcap_records.Channel.read(stream)
+                found[channel.id] = _described(channel, schemas)
+            at += length
+
+    def _check_data(self, body: bytes, crc: int) -> None:
+        (stated,) = struct.unpack_from("<I", body)
+        self.is_protected = stated != 0
+        if stated and stated != crc:
+            self._lose("the checksum of all data is wrong: something before its end was changed")
+        self.crc = 0  # from here on, that of the summary
+        self.in_summary = True
+
+    def _check_end(self, body: bytes, crc: int) -> None:
+        self.ended = True
+        stated = _FOOTER.unpack_from(body)[2]
+        if not self.in_summary:
+            self._lose("the end of the data is not marked")
+        elif (stated and stated != crc) or self.file.read(len(MAGIC)) != MAGIC:
+            self._lose("the index at the end is damaged (`tunenet-logs recover` writes it anew)")
+
+    def _close(self) -> None:
+        if self.ended and not self.is_protected:
+            what = "the log carries no data checksum, so its integrity cannot be vouched for"
+            self.losses.append(Loss(what, harmless=True))
+        if self.unknown:
+            self._lose(f"{self.unknown} messages belong to channels that nothing describes")
+        if self.told is not None and self.told > self.messages + self.unknown:
+            missing = self.told - self.messages - self.unknown
+            self._lose(f"{missing} of {self.told} messages are missing")
+
+    def _next_chunk(self, start: int) -> int | None:
+        """Where the next chunk begins that looks whole; leaves the file's place as it was."""
+        here = self.file.tell()
+        try:
+            return self._search(start)
+        finally:
+            self.file.seek(here)
+
+    def _search(self, start: int) -> int | None:
+        lead = _HEAD.size + _CHUNK.size - 4
+        overlap = lead + 16
+        while start < self.size:
+            self.file.seek(start)
+            block = self.file.read(_BLOCK_BYTES + overlap)
+            places = sorted(_all_places(block, lead))
+            for place in places:
+                if self._is_chunk(block, place, start + place):
+                    return start + place
+            start += _BLOCK_BYTES
+        return None
+
+    def _is_chunk(self, block: bytes, place: int, at: int) -> bool:
+        opcode, length = _HEAD.unpack_from(block, place)
+        return opcode == Opcode.CHUNK and at + _HEAD.size + length <= self.size
+
+    def _lose(self, what: str, at: int | None = None, size: int = 0) -> None:
+        self.losses.append(Loss(what, at_byte=at, size=size))
 
 
-def _chunk_records(chunk: Chunk, losses: list[str]) -> list[McapRecord]:
-    try:
-        data = _decompress(chunk)
-        plain = dataclasses.replace(chunk, compression="", data=data, uncompressed_size=len(data))
-        return breakup_chunk(plain, validate_crc=True)
-    except DAMAGE as error:
-        losses.append(f"a damaged chunk was left out: {_describe(error)}")
-        return []
+class _Exact(BytesIO):
+    """Bytes that refuse to be read beyond their end; the library would take what there is."""
+
+    def read(self, size: int | None = -1) -> bytes:
+        data = super().read(size)
+        if size is not None and len(data) < size:
+            raise ValueError(f"a part of it claims {size} bytes")
+        return data
 
 
-def _decompress(chunk: Chunk) -> bytes:
-    """The chunk's bytes; neither its stated size nor its own header is believed."""
-    limit = chunk.uncompressed_size
-    if limit > MAX_CHUNK_BYTES:
-        raise McapError(f"a chunk claims {limit} bytes, over the limit of {MAX_CHUNK_BYTES}")
-    if chunk.compression == "":
-        data = chunk.data
-    elif chunk.compression == "zstd":
-        with zstandard.ZstdDecompressor().stream_reader(chunk.data) as stream:
-            data = stream.read(limit + 1)
-    elif chunk.compression == "lz4":
-        data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=limit + 1)
-    else:
-        raise McapError(f"unknown compression {chunk.compression[:20]!r}")
-    if len(data) != limit:
-        raise McapError(f"a chunk holds {len(data)} bytes where it states {limit}")
-    return data
+def _all_places(block: bytes, lead: int) -> Iterator[int]:
+    for mark in _CHUNK_MARKS:
+        found = block.find(mark, lead)
+        while found >= 0:
+            yield found - lead
+            found = block.find(mark, found + 1)
 
 
-def _describe(error: Exception) -> str:
-    return " ".join(str(error).split())[:120] or type(error).__name__
+def _described(
+    channel: mcap_records.Channel, schemas: dict[int, mcap_records.Schema]
+) -> RawChannel:
+    schema = schemas.get(channel.schema_id)
+    return RawChannel(
+        topic=channel.topic,
+        type_name=schema.name if schema else "",
+        encoding=channel.message_encoding,
+        schema_encoding=schema.encoding if schema else "",
+        schema=schema.data if schema else b"",
+        metadata=channel.metadata,
+    )

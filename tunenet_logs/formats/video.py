@@ -152,13 +152,11 @@ def read_video(path: Path) -> Episode:
         topic=VIDEO_TOPIC,
         type_name=video.codec,
         encoding="video",
-        messages=len(video.stamps_ns),
-        first_ns=int(video.stamps_ns[0]),
-        last_ns=int(video.stamps_ns[-1]),
+        log_ns=video.stamps_ns,
         pictures=True,
     )
     info = EpisodeInfo(source=f"video file {path.name}", notes=video_notes(video))
-    return Episode(info, {}, (channel,), video.warnings, partial(_frames_of, video))
+    return Episode(info, {}, (channel,), video.warnings, open_frames=partial(_frames_of, video))
 
 
 def video_notes(video: Video) -> dict[str, str]:

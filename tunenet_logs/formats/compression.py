@@ -1,0 +1,67 @@
+"""Unpacking that never gives more than it was told to expect."""
+
+from __future__ import annotations
+
+import bz2
+
+import lz4.frame
+import zstandard
+
+MAX_PART_BYTES = 128 * 1024 * 1024
+"""The most that one part of a log (a chunk, a message) may unpack to."""
+
+_FREE_BYTES = 1024 * 1024 * 1024
+_MOST_RATIO = 256
+
+
+class Budget:
+    """How much a whole file may unpack to: a log is not a bomb of many small parts either.
+
+    Args:
+        file_bytes: size of the file.
+    """
+
+    def __init__(self, file_bytes: int) -> None:
+        self._left = _FREE_BYTES + _MOST_RATIO * file_bytes
+
+    def spend(self, count: int) -> None:
+        """Take from it.
+
+        Raises:
+            ValueError: nothing is left.
+        """
+        self._left -= count
+        if self._left < 0:
+            raise ValueError(f"the log unpacks to more than {_MOST_RATIO} times its size")
+
+
+def unpack(data: bytes | memoryview, compression: str, stated: int) -> bytes | memoryview:
+    """The unpacked bytes, as many as stated.
+
+    Args:
+        data: packed.
+        compression: "zstd", "lz4", "bz2", or "" or "none".
+        stated: the size that the file claims; not believed.
+
+    Raises:
+        ValueError: damaged, of another size than stated, too large, or of an unknown compression.
+    """
+    if stated > MAX_PART_BYTES:
+        raise ValueError(f"a part claims {stated} bytes, over the limit of {MAX_PART_BYTES}")
+    try:
+        if compression == "zstd":
+            with zstandard.ZstdDecompressor().stream_reader(data) as stream:
+                plain = stream.read(stated + 1)
+        elif compression == "lz4":
+            plain = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=stated + 1)
+        elif compression == "bz2":
+            plain = bz2.BZ2Decompressor().decompress(data, max_length=stated + 1)
+        elif compression in ("", "none"):
+            plain = data
+        else:
+            raise ValueError(f"unknown compression {compression[:20]!r}")
+    except (zstandard.ZstdError, RuntimeError, OSError, EOFError, MemoryError) as error:
+        raise ValueError(f"{compression} data is damaged: {error}") from error
+    if len(plain) != stated:
+        raise ValueError(f"a part holds {len(plain)} bytes where it states {stated}")
+    return plain

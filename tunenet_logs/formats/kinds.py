@@ -1,0 +1,224 @@
+"""What the message types of others hold: positions, joints or pictures, and where in the message.
+
+ROS and Foxglove types have the same fields in every encoding, so one line serves them all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tunenet_logs.formats.base import RawChannel
+from tunenet_logs.formats.ros import ros_name
+
+Place = tuple[int, str, float, float, float]
+"""Stamp [ns] (0: not set), what it is the place of ("": the topic's own), x, y, z [m]."""
+
+_STAMP_FIELDS = (("sec", "nanosec"), ("seconds", "nanos"), ("sec", "nsec"), ("secs", "nsecs"))
+
+
+@dataclass(frozen=True)
+class Positions:
+    """A type with places in space."""
+
+    read: Callable[[Any], Iterable[Place]]
+
+
+@dataclass(frozen=True, eq=False)
+class JointSample:
+    """What one message says of joints: rad, rad/s, N·m; empty where it does not say."""
+
+    stamp_ns: int
+    names: tuple[str, ...]
+    position: Sequence[float] | np.ndarray = ()
+    velocity: Sequence[float] | np.ndarray = ()
+    effort: Sequence[float] | np.ndarray = ()
+
+
+@dataclass(frozen=True)
+class Joints:
+    """A type with the state of joints."""
+
+    read: Callable[[Any], JointSample]
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """One message's image; `size` and `step` are those of bare pixels.
+
+    Attributes:
+        step: bytes from one row to the next; 0 where there is no row between.
+    """
+
+    stamp_ns: int
+    encoding: str
+    data: Any
+    size: tuple[int, int] | None = None
+    step: int = 0
+    is_bigendian: bool = False
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """A type with an image.
+
+    Attributes:
+        is_video: whether a picture can be decoded only after those before it.
+    """
+
+    read: Callable[[Any], Picture]
+    is_video: bool = False
+
+
+Kind = Positions | Joints | Pictures
+
+
+def kind_of(channel: RawChannel) -> Kind | None:
+    """What a channel's type holds; None if nothing that is used."""
+    name = ros_name(channel.type_name)
+    package, _, plain = name.rpartition("/msg/")
+    if package in ("foxglove_msgs", "foxglove"):
+        name = f"foxglove.{plain}"
+    if name in _KINOVA:
+        return _kinova(channel.topic if name.endswith("Angles") else name)
+    return _KINDS.get(name)
+
+
+def time_ns(time: Any) -> int:
+    """A time of ROS, protobuf or JSON [ns]."""
+    for whole, part in _STAMP_FIELDS:
+        if hasattr(time, whole) and hasattr(time, part):
+            return int(getattr(time, whole)) * 1_000_000_000 + int(getattr(time, part))
+    raise ValueError("it holds no time that is understood")
+
+
+def _ros_stamp(message: Any) -> int:
+    stamp = message.header.stamp
+    try:
+        return stamp.sec * 1_000_000_000 + stamp.nanosec
+    except AttributeError:
+        return time_ns(stamp)
+
+
+def _place(stamp_ns: int, point: Any, name: str = "") -> Place:
+    return stamp_ns, name, float(point.x), float(point.y), float(point.z)
+
+
+def _at(path: str) -> Positions:
+    """A type with a header, and a point at `path`."""
+    fields = path.split(".")
+
+    def read(message: Any) -> Iterable[Place]:
+        point = message
+        for name in fields:
+            point = getattr(point, name)
+        return (_place(_ros_stamp(message), point),)
+
+    return Positions(read)
+
+
+def _transforms(message: Any) -> Iterable[Place]:
+    return [
+        _place(_ros_stamp(one), one.transform.translation, one.child_frame_id)
+        for one in message.transforms
+    ]
+
+
+def _frame_transform(one: Any) -> Place:
+    return _place(time_ns(one.timestamp), one.translation, one.child_frame_id)
+
+
+def _joint_state(message: Any) -> JointSample:
+    names = tuple(message.name)
+    return JointSample(
+        _ros_stamp(message), names, message.position, message.velocity, message.effort
+    )
+
+
+def _foxglove_joints(message: Any) -> JointSample:
+    def values(field: str) -> list[float]:
+        found = [_optional(one, field) for one in message.joints]
+        return found if any(value == value for value in found) else []  # noqa: PLR0124 (NaN)
+
+    names = tuple(one.name for one in message.joints)
+    stamp_ns = time_ns(message.timestamp)
+    return JointSample(stamp_ns, names, values("position"), values("velocity"), values("effort"))
+
+
+def _optional(joint: Any, field: str) -> float:
+    if hasattr(joint, "HasField") and not joint.HasField(field):
+        return float("nan")
+    value = getattr(joint, field, None)
+    return float("nan") if value is None else float(value)
+
+
+_KINOVA = frozenset(
+    ("kinova_msgs/msg/JointAngles", "kinova_msgs/msg/JointTorque", "kinova_msgs/msg/JointVelocity")
+)
+_KINOVA_NAMES = tuple(f"joint{number}" for number in range(1, 8))
+
+
+def _kinova(name: str) -> Joints:
+    """Kinova's messages: no header, degrees; the topic tells torques that are typed as angles."""
+    last = name.rpartition("/")[2].lower()
+
+    def read(message: Any) -> JointSample:
+        values = np.array([getattr(message, name) for name in _KINOVA_NAMES], np.float64)
+        if "torque" in last:
+            return JointSample(0, _KINOVA_NAMES, effort=values)
+        if "velocity" in last:
+            return JointSample(0, _KINOVA_NAMES, velocity=np.radians(values))
+        return JointSample(0, _KINOVA_NAMES, position=np.radians(values))
+
+    return Joints(read)
+
+
+def _compressed_image(message: Any) -> Picture:
+    return Picture(_ros_stamp(message), message.format, message.data)
+
+
+def _image(message: Any) -> Picture:
+    return _raw(_ros_stamp(message), message, bool(message.is_bigendian))
+
+
+def _raw(stamp_ns: int, message: Any, is_bigendian: bool = False) -> Picture:
+    size = (int(message.width), int(message.height))
+    encoding, step = str(message.encoding), int(message.step)
+    return Picture(stamp_ns, encoding, message.data, size, step, is_bigendian)
+
+
+def _foxglove_image(message: Any) -> Picture:
+    return Picture(time_ns(message.timestamp), message.format, message.data)
+
+
+_KINDS: dict[str, Kind] = {
+    "geometry_msgs/msg/PoseStamped": _at("pose.position"),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": _at("pose.pose.position"),
+    "geometry_msgs/msg/PointStamped": _at("point"),
+    "geometry_msgs/msg/TransformStamped": _at("transform.translation"),
+    "nav_msgs/msg/Odometry": _at("pose.pose.position"),
+    "tf2_msgs/msg/TFMessage": Positions(_transforms),
+    "foxglove.PoseInFrame": Positions(
+        lambda message: (_place(time_ns(message.timestamp), message.pose.position),)
+    ),
+    "foxglove.Point3InFrame": Positions(
+        lambda message: (_place(time_ns(message.timestamp), message.point),)
+    ),
+    "foxglove.Odometry": Positions(
+        lambda message: (_place(time_ns(message.timestamp), message.pose.position),)
+    ),
+    "foxglove.FrameTransform": Positions(lambda message: (_frame_transform(message),)),
+    "foxglove.FrameTransforms": Positions(
+        lambda message: [_frame_transform(one) for one in message.transforms]
+    ),
+    "sensor_msgs/msg/JointState": Joints(_joint_state),
+    "foxglove.JointStates": Joints(_foxglove_joints),
+    "sensor_msgs/msg/CompressedImage": Pictures(_compressed_image),
+    "sensor_msgs/msg/Image": Pictures(_image),
+    "foxglove.CompressedImage": Pictures(_foxglove_image),
+    "foxglove.RawImage": Pictures(lambda message: _raw(time_ns(message.timestamp), message)),
+    "foxglove.CompressedVideo": Pictures(_foxglove_image, is_video=True),
+}

@@ -1,0 +1,55 @@
+"""Which kind of file a log is, by its first bytes; names tell little."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tunenet_logs.episode import Episode
+from tunenet_logs.errors import LogError
+from tunenet_logs.formats.base import Container
+from tunenet_logs.formats.mcap_container import MAGIC as MCAP_MAGIC
+from tunenet_logs.formats.mcap_container import read_mcap
+from tunenet_logs.formats.video import read_video
+
+_CONTAINERS: dict[bytes, Container] = {MCAP_MAGIC: read_mcap}
+"""Files of messages. A new one is one file, and one line here."""
+
+
+def opened(path: Path) -> Container | Episode:
+    """How the messages of a log are read; or the episode, where a file is no such container.
+
+    Raises:
+        LogError: there is no such file, or it is nothing that is read here.
+    """
+    start = _start_of(path)
+    for magic, container in _CONTAINERS.items():
+        if start.startswith(magic):
+            return container
+    return _read_foreign(path)
+
+
+def _start_of(path: Path) -> bytes:
+    """The first bytes of a file that may be a log."""
+    try:
+        if not path.exists():
+            raise LogError(f"{path}: no such file")
+        if path.is_dir():
+            raise LogError(f"{path}: is a directory; name a log file (.mcap) inside it")
+        if not path.is_file():
+            raise LogError(f"{path}: is no regular file; record it to one first")
+        with open(path, "rb") as file:
+            start = file.read(max(map(len, _CONTAINERS)))
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read ({error.strerror})") from error
+    if not start:
+        raise LogError(f"{path}: is empty; record it again")
+    return start
+
+
+def _read_foreign(path: Path) -> Episode:
+    """A file that is no MCAP: a video, or nothing that is read here."""
+    try:
+        return read_video(path)
+    except LogError as error:
+        why = str(error).removeprefix(f"{path}: ")
+        raise LogError(f"{path}: is not an MCAP log; {why}") from error
