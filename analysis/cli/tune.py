@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from analysis.cli.options import jobs_option, preset_option
 from tunenet_logs.commandline import Parser, number, run, whole
 from tunenet_logs.errors import UsageError
 
@@ -54,12 +55,7 @@ def build_parser() -> Parser:
     _picture_options(
         parser.add_argument_group("ball in pictures (found by its flight if not told)")
     )
-    add(
-        "--preset",
-        choices=["default", "paper", "paper-code"],
-        default="default",
-        help="simulator, observation and network: ours, or those of the paper's text or code",
-    )
+    preset_option(parser)
     add(
         "--iterations",
         type=whole(1, 1000),
@@ -74,7 +70,7 @@ def build_parser() -> Parser:
         help="restitution to start from (default: 0, a ball that does not bounce)",
     )
     add("--weights", type=Path, metavar="FILE", help="weights by tunenet-train (default: shipped)")
-    add("--jobs", type=whole(1, 256), metavar="N", help="logs at a time (default: all cores)")
+    jobs_option(parser, "logs at a time")
     add("--quiet", action="store_true", help="no progress bar")
     return parser
 
