@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from analysis.cli.options import jobs_option, preset_option
 from tunenet_logs.commandline import Parser, number, run, whole
-from tunenet_logs.errors import UsageError
+from tunenet_logs.errors import NotFoundError, UsageError
 
 if TYPE_CHECKING:
     from analysis.tasks.base import Selection
@@ -147,6 +147,8 @@ def _tune(arguments: argparse.Namespace) -> int:
 
     if None not in (arguments.start, arguments.end) and arguments.start >= arguments.end:
         raise UsageError(f"--start {arguments.start:g} is not before --end {arguments.end:g}")
+    if arguments.hsv is not None and arguments.ball_at is not None:
+        raise UsageError("--hsv does not go with --ball-at; leave one out")
     if arguments.preview:
         _check_preview(arguments)
     progress = Progress(quiet=arguments.quiet)
@@ -209,7 +211,7 @@ def _marked(log: Path, selection: Selection, progress: Progress) -> Selection:
             end_s=selection.end_s,
             progress=progress,
         )
-    except UsageError as error:
+    except (UsageError, NotFoundError) as error:
         raise UsageError(f"{log}: {error}") from error
     if mark is None:
         return selection

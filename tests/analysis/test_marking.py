@@ -108,7 +108,7 @@ def test_the_mark_is_what_tuning_goes_by(film: Path, tmp_path: Path):
         assert page.tune(*BALL_PX, 10) == 204
         out, err = process.communicate(timeout=60)
     assert process.returncode == 1
-    assert "nothing moves at 160, 119 px at 0.10 s" in out + err
+    assert "nothing moves at 160, 119 px at 0.10 s; mark the ball in flight" in out + err
     with tuning(path, "--start", "0.5") as (page, process):
         assert json.loads(page.ask("GET", "/album")[1])["seconds"][0] == 1
         assert page.tune(*BALL_PX, BALL_PICTURE) == 204
@@ -216,7 +216,7 @@ def test_a_mark_that_is_none_is_refused(page: tuple[MarkingPage, Marking], body:
         (("--ball-at", "1,2,3"), "--ball-at"),
         (("--hsv", "0,0,0:9,9,9"), "--hsv"),
         (("--topic", "/nix"), "/camera/image_raw/compressed"),
-        (("--start", "900"), "no picture"),
+        (("--start", "900"), "1.98 s long"),
     ],
 )
 def test_what_does_not_go_with_it_is_one_line(
