@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 
+from analysis.observe.part import check_start
 from recorders.camera.jpeg import from_bgr, is_whole
 from tunenet_logs.episode import Episode, Frame
 from tunenet_logs.errors import LogError, UsageError
@@ -67,6 +68,7 @@ def album_of(
 
     Raises:
         UsageError: there is no picture that can be decoded.
+        NotFoundError: the part begins past the last one.
         LogError: the log is damaged.
     """
     total = next((one.messages for one in episode.channels if one.topic == topic), None)
@@ -85,17 +87,19 @@ def _selected(
 ) -> Iterator[tuple[float, Frame]]:
     """(seconds since the first, frame), where time goes on."""
     first_ns: int | None = None
-    last_ns = -1
+    last_ns, length_s = -1, 0.0
     for frame in episode.frames(topic):
         bar.update(1)
         first_ns = frame.stamp_ns if first_ns is None else first_ns
         seconds = (frame.stamp_ns - first_ns) * 1e-9
+        length_s = max(length_s, seconds)
         if start_s is not None and seconds < start_s:
             continue
         if (end_s is not None and seconds > end_s) or frame.stamp_ns <= last_ns:
             continue
         last_ns = frame.stamp_ns
         yield seconds, frame
+    check_start(start_s, length_s)
 
 
 class _Shelf:

@@ -143,8 +143,14 @@ def _names(logs: Iterable[Path], folder: Path | None) -> list[Path]:
         name.with_name(f"{log.resolve().parent.name}_{name.name}") if taken[name] > 1 else name
         for log, name in zip(logs, names, strict=True)
     ]
-    if len(set(names)) < len(names):
-        raise UsageError("several logs would write the same results; tune them into folders apart")
+    first: dict[Path, Path] = {}
+    for log, name in zip(logs, names, strict=True):
+        other = first.setdefault(name, log)
+        if other != log:
+            raise UsageError(
+                f"{other} and {log} would both write {_results(name)[0]}; "
+                "tune them one by one, each with a folder of its own (-o DIR)"
+            )
     inputs = {log.resolve() for log in logs}
     for name in names:
         for path in _results(name):

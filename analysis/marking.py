@@ -46,6 +46,7 @@ def mark_ball(
 
     Raises:
         UsageError: there is no picture that can be decoded.
+        NotFoundError: the part begins past the last one.
         KeyboardInterrupt: the page was closed, or Ctrl-C.
     """
     marking = Marking(album_of(episode, topic, start_s, end_s, progress))

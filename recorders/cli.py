@@ -57,7 +57,7 @@ def _shared_options(group: argparse._ArgumentGroup) -> None:
     add(
         "-o",
         "--output",
-        type=Path,
+        type=_log_path,
         metavar="LOG",
         help="log to write (default: drop_DATE_TIME.mcap here)",
     )
@@ -82,6 +82,14 @@ def _shared_options(group: argparse._ArgumentGroup) -> None:
     )
     add("--overwrite", action="store_true", help="replace an existing log")
     add("--quiet", action="store_true", help="no progress bar")
+
+
+def _log_path(text: str) -> Path:
+    path = Path(text)
+    if path.suffix != ".mcap" and not path.is_dir():  # what is wrong with a folder is told later
+        name = path.with_suffix(".mcap")
+        raise argparse.ArgumentTypeError(f"{text!r}: what is written is MCAP; name it {name}")
+    return path
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -46,10 +46,12 @@ def film(path: Path, picture: FilmOrder | None = None, **order: object) -> Path:
 
 
 def real(name: str) -> Path:
-    """A recording that nobody here made; without it, the test is skipped."""
+    """A recording that others made, of a real ball or camera; without it, the test is skipped."""
     path = ROOT.parent / "shared" / "real" / name
     if not path.exists():
-        pytest.skip(f"the real recording {name} is not beside the project")
+        pytest.skip(
+            f"needs the recording {name}, which others made and which is not part of the project"
+        )
     return path
 
 

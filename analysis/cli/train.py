@@ -8,6 +8,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from analysis.cli.options import jobs_option, preset_option
 from tunenet_logs.commandline import Parser, run, whole
 from tunenet_logs.errors import UsageError, WeightsError
 
@@ -37,12 +38,7 @@ def build_parser() -> Parser:
         metavar="FILE",
         help="weights to write (default: TASK-PRESET.safetensors here)",
     )
-    add(
-        "--preset",
-        choices=["default", "paper", "paper-code"],
-        default="default",
-        help="simulator, observation and network: ours, or those of the paper's text or code",
-    )
+    preset_option(parser)
     add(
         "--pairs",
         type=whole(10, 10_000_000),
@@ -62,12 +58,7 @@ def build_parser() -> Parser:
         metavar="N",
         help="for data and training (default: 0)",
     )
-    add(
-        "--jobs",
-        type=whole(1, 256),
-        metavar="N",
-        help="processes that simulate (default: all cores)",
-    )
+    jobs_option(parser, "processes that simulate")
     add("--overwrite", action="store_true", help="replace existing weights")
     add("--quiet", action="store_true", help="no progress bar")
     return parser

@@ -10,8 +10,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from analysis.cli.options import jobs_option, preset_option
 from tunenet_logs.commandline import Parser, number, run, whole
-from tunenet_logs.errors import UsageError
+from tunenet_logs.errors import NotFoundError, UsageError
 
 if TYPE_CHECKING:
     from analysis.tasks.base import Selection
@@ -54,12 +55,7 @@ def build_parser() -> Parser:
     _picture_options(
         parser.add_argument_group("ball in pictures (found by its flight if not told)")
     )
-    add(
-        "--preset",
-        choices=["default", "paper", "paper-code"],
-        default="default",
-        help="simulator, observation and network: ours, or those of the paper's text or code",
-    )
+    preset_option(parser)
     add(
         "--iterations",
         type=whole(1, 1000),
@@ -74,7 +70,7 @@ def build_parser() -> Parser:
         help="restitution to start from (default: 0, a ball that does not bounce)",
     )
     add("--weights", type=Path, metavar="FILE", help="weights by tunenet-train (default: shipped)")
-    add("--jobs", type=whole(1, 256), metavar="N", help="logs at a time (default: all cores)")
+    jobs_option(parser, "logs at a time")
     add("--quiet", action="store_true", help="no progress bar")
     return parser
 
@@ -151,6 +147,8 @@ def _tune(arguments: argparse.Namespace) -> int:
 
     if None not in (arguments.start, arguments.end) and arguments.start >= arguments.end:
         raise UsageError(f"--start {arguments.start:g} is not before --end {arguments.end:g}")
+    if arguments.hsv is not None and arguments.ball_at is not None:
+        raise UsageError("--hsv does not go with --ball-at; leave one out")
     if arguments.preview:
         _check_preview(arguments)
     progress = Progress(quiet=arguments.quiet)
@@ -213,7 +211,7 @@ def _marked(log: Path, selection: Selection, progress: Progress) -> Selection:
             end_s=selection.end_s,
             progress=progress,
         )
-    except UsageError as error:
+    except (UsageError, NotFoundError) as error:
         raise UsageError(f"{log}: {error}") from error
     if mark is None:
         return selection

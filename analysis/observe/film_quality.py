@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TypeGuard
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -34,7 +36,11 @@ def film_checks(film: FilmedDrop, restitution: float) -> list[Check]:
     hop_px = restitution**2 * span
     seen, repeated = _seen(film), _repeated(film)
     return [
-        Check("large enough", span > _LEAST_SPAN_PX, f"falls {span:.0f} px (wanted: 40 or more)"),
+        Check(
+            "large enough",
+            span > _LEAST_SPAN_PX,
+            f"falls {span:.0f} px (wanted: {_LEAST_SPAN_PX} or more)",
+        ),
         Check(
             "stays in view",
             seen > _SEEN,
@@ -73,28 +79,34 @@ def scale_checks(
     """Whether the film's frame rate is its true one, where a length is known.
 
     A film that plays at another rate than it was filmed shows another gravity. The restitution is
-    the same, the drop height and speeds are not.
+    the same, the drop height and speeds are not. A length that nothing has (0, say, where somebody
+    did not measure) is not known.
 
     Args:
         film: the drop.
         ball_diameter_m: as the log says.
         drop_height_m: as the log says; the more exact of the two.
     """
-    told_m, within = drop_height_m, 1.3
-    if told_m is None and ball_diameter_m is not None:
+    if _is_length(drop_height_m):
+        told_m, within = drop_height_m, 1.3
+    elif _is_length(ball_diameter_m):
         diameter_px = 2 * float(np.nanmedian(film.track.radius_px[film.used]))
         told_m, within = film.projection.span_px / diameter_px * ball_diameter_m, 1.8
-    if told_m is None:
+    else:
         return []
     by_time_m = film.drop.drop_height_m
     return [
         Check(
             "frame rate",
-            1 / within < by_time_m / told_m < within,
+            told_m / within < by_time_m < told_m * within,
             f"falls {by_time_m:.2f} m by the clock, {told_m:.2f} m by the known size (wanted: "
             f"within a factor {within}; --fps sets a recording's true rate)",
         )
     ]
+
+
+def _is_length(meters: float | None) -> TypeGuard[float]:
+    return meters is not None and 0 < meters < np.inf
 
 
 def _seen(film: FilmedDrop) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from analysis.estimators.base import Problem, Step
 from analysis.observe import drop as views
 from analysis.observe.base import Observation
 from analysis.observe.free_fall import Drop, find_drops
+from analysis.observe.part import check_start
 from analysis.observe.quality import Check, fall_checks, fit_check, recording_checks
 from analysis.observe.strays import strays
 from analysis.tasks.base import CrossCheck, Preset, Selection
@@ -50,12 +52,15 @@ class DropTask:
     def find(self, episode: Episode, selection: Selection, preset: str) -> FoundDrop:
         """The first drop of the ball's signal; see `Task.find`."""
         reasons: list[str] = []
+        unused = _unused_hints(episode, selection)
         for signal in _candidates(episode, selection):
             try:
-                return _find_in(_cut(signal, selection), int(signal.stamps_ns[0]), preset)
+                check_start(selection.start_s, float(signal.seconds[-1]))
+                found = _find_in(_cut(signal, selection), int(signal.stamps_ns[0]), preset)
+                return replace(found, warnings=(*found.warnings, *unused))
             except NotFoundError as reason:
                 reasons.append(f"{signal.name}: {reason}")
-        raise NotFoundError(reasons[0])
+        raise NotFoundError("; ".join((reasons[0], *unused)))
 
     def problem(self, found: FoundDrop, initial: Array) -> Problem:
         """See `Task.problem`."""
@@ -99,6 +104,16 @@ def _candidates(episode: Episode, selection: Selection) -> list[Signal]:
             f"channels: {seen or 'none'}"
         )
     return sorted(positions, key=lambda one: (one.name != TOPIC, "ball" not in one.name, one.name))
+
+
+def _unused_hints(episode: Episode, selection: Selection) -> tuple[str, ...]:
+    """What to say of hints that are for pictures: nobody should think that they had an effect."""
+    options = selection.hints.options
+    if not options:
+        return ()
+    topics = episode.picture_topics
+    there = f"to use its pictures: --topic {topics[0]}" if topics else "it holds no pictures"
+    return (f"{', '.join(options)} not used: the log holds the ball's position ({there})",)
 
 
 def _cut(signal: Signal, selection: Selection) -> Signal:

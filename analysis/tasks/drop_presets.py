@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,6 +93,17 @@ def _paper_preset(name: str, recipe: Recipe) -> Preset:
     return Preset(purpose, PaperNetwork(), recipe, _paper_pairs, physical=False)
 
 
+OUR_TRAINING = Recipe(
+    optimizer="adamw",
+    learning_rate=3e-3,
+    weight_decay=0.01,
+    loss="relative",
+    scaling="standard",
+    epochs=20,
+    batch=256,
+    cut_share=0.2,
+)
+
 _OURS = Preset(
     Purpose(
         task="drop",
@@ -102,17 +114,7 @@ _OURS = Preset(
         rates_hz=_RATES_HZ,
     ),
     AntisymmetricNetwork(),
-    Recipe(
-        optimizer="adamw",
-        learning_rate=3e-3,
-        weight_decay=0.01,
-        loss="relative",
-        scaling="standard",
-        epochs=20,
-        batch=256,
-        noise=0.01,
-        cut_share=0.2,
-    ),
+    replace(OUR_TRAINING, noise=0.01),  # films bring a noise of their own
     _canonical_pairs,
     physical=True,
 )

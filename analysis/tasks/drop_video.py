@@ -13,7 +13,7 @@ from analysis.observe.film import FilmedDrop, canonical_film, find_filmed_drop, 
 from analysis.observe.film_quality import film_checks, scale_checks
 from analysis.observe.quality import Check, fit_check, recording_checks
 from analysis.observe.tracking.pictures import Pictures
-from analysis.observe.tracking.track import Hints, track_ball
+from analysis.observe.tracking.track import Hints, Track, track_ball
 from analysis.tasks.base import CrossCheck, Preset, Selection
 from analysis.tasks.drop_video_presets import PRESETS
 from analysis.tasks.found_drop import FoundDrop, drop_problem
@@ -61,14 +61,11 @@ class DropVideoTask:
         self, episode: Episode, topic: str, selection: Selection, preset: str
     ) -> FoundDrop:
         pictures = Pictures(episode, topic, selection.start_s, selection.end_s)
-        hints = selection.hints
-        if hints == Hints():
-            hints = _marked(episode.info, pictures)
-        track = track_ball(pictures, hints)
+        track, warnings = _tracked(pictures, selection.hints, episode.info)
         film = find_filmed_drop(track, pictures.start_ns)
         physical = PRESETS[preset].physical
         target = canonical_film(film) if physical else _paper_target(film)
-        warnings, rig = [], episode.info.rig
+        rig = episode.info.rig
         told = sum(one.messages for one in episode.channels if one.topic == topic)
         if selection.end_s is None and pictures.opened < told:
             warnings.append(f"only {pictures.opened} of {told} pictures can be read: damaged there")
@@ -123,15 +120,35 @@ class DropVideoTask:
         return CrossCheck(method, value, bool(abs(value - estimate[0]) < margin))
 
 
+def _tracked(pictures: Pictures, hints: Hints, info: EpisodeInfo) -> tuple[Track, list[str]]:
+    """The track by the user's hints, else by the recording's own, and what to say of it."""
+    if hints != Hints():
+        return track_ball(pictures, hints), []
+    marked = _marked(info, pictures)
+    try:
+        return track_ball(pictures, marked), []
+    except NotFoundError:
+        if marked == Hints():
+            raise
+    # Who aimed a camera need not have hit the ball, and cannot mark it again.
+    said = "the ball was not found by the mark of its recording, but without it"
+    return track_ball(pictures), [said]
+
+
 def _marked(info: EpisodeInfo, pictures: Pictures) -> Hints:
-    """The ball as it was marked in the preview of the recording, if it was."""
+    """The ball as it was marked in the preview of the recording, if it was.
+
+    What was marked before the recording began is looked for at its beginning.
+    """
     try:
         x, y = (float(part) for part in info.notes.get("ball_at_px", "").split(","))
-        at_s = (int(info.notes["ball_at_stamp_ns"]) - pictures.start_ns) * 1e-9
+        first_ns, last_ns = (int(one) for one in pictures.stamps_ns[[0, -1]])
+        at_ns = min(max(int(info.notes["ball_at_stamp_ns"]), first_ns), last_ns)
     except (ValueError, KeyError):
         return Hints()
     wide, tall = pictures.size_px
-    inside = 0 <= x < wide and 0 <= y < tall and np.isfinite(at_s)
+    inside = 0 <= x < wide and 0 <= y < tall
+    at_s = (at_ns - pictures.start_ns) * 1e-9
     return Hints(ball_at=(x, y, at_s)) if inside else Hints()
 
 

@@ -12,11 +12,15 @@ from analysis.observe import drop as views
 from analysis.observe.film import canonical_film, find_filmed_drop
 from analysis.observe.tracking.projected import projected_track
 from analysis.tasks.base import Preset
-from analysis.tasks.drop_presets import PAPER_HEIGHT_M, PAPER_RESTITUTION, PAPERS_TEXT
+from analysis.tasks.drop_presets import (
+    OUR_TRAINING,
+    PAPER_HEIGHT_M,
+    PAPER_RESTITUTION,
+    PAPERS_TEXT,
+)
 from analysis.tunenet.checkpoint import Purpose
 from analysis.tunenet.network import AntisymmetricNetwork, PaperNetwork
 from analysis.tunenet.pairs import PairSet, consecutive_pairs, cross_pairs, observe_all
-from analysis.tunenet.training import Recipe
 from recorders.simulators.contact import CALIBRATED, PAPER
 from recorders.simulators.drop import RESTITUTION, DropRig, DropSimulator
 from recorders.simulators.pinhole import PinholeCamera, random_camera
@@ -161,16 +165,7 @@ PRESETS = {
             rates_hz=_RATES_HZ,
         ),
         AntisymmetricNetwork(),
-        Recipe(
-            optimizer="adamw",
-            learning_rate=3e-3,
-            weight_decay=0.01,
-            loss="relative",
-            scaling="standard",
-            epochs=20,
-            batch=256,
-            cut_share=0.2,
-        ),
+        OUR_TRAINING,
         _canonical_pairs,
         physical=True,
     ),

@@ -52,6 +52,15 @@ def test_logs_of_one_stem_get_their_folders_names(tmp_path: Path):
     assert names == ["left_drop.json", "right_drop.json"]
 
 
+def test_two_logs_with_the_same_results_are_named(tmp_path: Path):
+    logs = [tmp_path / name for name in ("a.mcap", "b.mcap", "b.mp4")]
+    for log in logs:
+        log.touch()
+    with pytest.raises(UsageError, match=r"b\.mcap and .*b\.mp4 would both write .*b\.json"):
+        tune_all(logs, Options(), tmp_path / "out", 1, QUIET)
+    assert not (tmp_path / "out").exists()
+
+
 def test_the_same_log_twice_is_tuned_once(tmp_path: Path):
     path = record(tmp_path / "a.mcap", restitution=0.6, height_m=1.0)
     assert len(tune_all([path, path], Options(), None, 1, QUIET)) == 1

@@ -121,6 +121,30 @@ def test_positions_come_before_pictures_unless_a_topic_says_so(filmed_log: Path,
     camera = tune_log(path, Options(selection=Selection(topic="/webcam")))
     assert value(camera) == pytest.approx(0.7, abs=0.01)
     assert camera.found.topic == "/webcam"
+    hints = Hints(roi=(0, 0, 300, 200), ball_at=(1, 2, 0))
+    (told,) = tune_log(path, Options(selection=Selection(hints=hints))).warnings
+    assert "--roi, --ball-at not used" in told
+    assert "--topic /webcam" in told
+
+
+def test_hints_for_pictures_are_not_used_in_silence(command: Command, drop_log: Path):
+    for words, code in (((), 0), (("--end", "0.1"), 1)):  # a drop, and none
+        result = command("tunenet-tune", drop_log, "--roi", "0,0,5,5", *words)
+        assert result.returncode == code
+        assert "--roi not used" in result.stdout + result.stderr
+
+
+@pytest.mark.parametrize("kind", ["drop_log", "filmed_log"])
+def test_a_part_past_the_end_is_one_line_with_the_length(
+    command: Command, kind: str, request: pytest.FixtureRequest, tmp_path: Path
+):
+    log = request.getfixturevalue(kind)
+    result = command("tunenet-tune", log, "--start", "90", "-o", tmp_path)
+    assert result.returncode == 1
+    length_s = {"drop_log": "6.65", "filmed_log": "3.28"}[kind]
+    said = f"--start 90 is past the end: the recording is {length_s} s long"
+    assert sum(said in line for line in result.stdout.splitlines()) == 1
+    assert not result.stderr
 
 
 def test_the_camera_that_sees_the_drop_is_found(filmed_log: Path, tmp_path: Path):
@@ -147,13 +171,22 @@ def test_the_ball_marked_while_it_was_recorded(filmed_log: Path, tmp_path: Path)
     track = tune_log(filmed_log, Options()).found.film.track
     x, y = track.places_px[40]
     notes = {"ball_at_px": f"{x:.1f},{y:.1f}", "ball_at_stamp_ns": str(track.stamps_ns[40])}
-    for name, marked in {"good": notes, "far": {**notes, "ball_at_px": "9999,1"}}.items():
+    wrong = {
+        "far": {"ball_at_px": "9999,1"},
+        "aimed": {"ball_at_stamp_ns": str(track.stamps_ns[0] - 10**10)},
+        "later": {"ball_at_stamp_ns": "9" * 400},
+        "corner": {"ball_at_px": "2,2"},
+    }
+    for name, marked in {"good": notes, **{k: {**notes, **v} for k, v in wrong.items()}}.items():
         path = tmp_path / f"{name}.mcap"
         info = replace(episode.info, notes=marked)
         with EpisodeWriter(path, info, live=False) as writer:
             for frame in episode.frames():
                 writer.write_frame("/camera", frame)
-        assert value(tune_log(path, Options())) == pytest.approx(0.7, abs=0.01)
+        tuning = tune_log(path, Options())
+        assert value(tuning) == pytest.approx(0.7, abs=0.01)
+        said = any("without it" in one for one in tuning.warnings)
+        assert said == (name in ("aimed", "later", "corner")), name
 
 
 def test_a_wrong_frame_rate_is_told_by_a_known_height(filmed_log: Path, tmp_path: Path):
@@ -252,6 +285,14 @@ def test_a_box_outside_the_picture_is_wrong_usage(
     assert result.returncode == 2
     assert result.stderr.count("\n") == 1
     assert "320 x 240" in result.stderr
+
+
+def test_a_colour_does_not_go_with_a_mark(command: Command):
+    words = ("--hsv", "5,120,80:20,255,255", "--ball-at", "1,2,3")
+    result = command("tunenet-tune", "any.mcap", *words)
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert "--hsv does not go with --ball-at" in result.stderr
 
 
 @pytest.mark.parametrize(

@@ -167,3 +167,12 @@ def test_a_frame_rate_that_cannot_be_is_seen_where_a_length_is_known():
     assert all(one.passed for one in scale_checks(found, diameter_m, None))
     assert not all(one.passed for one in scale_checks(found, 4 * diameter_m, None))
     assert scale_checks(found, None, None) == []
+
+
+@pytest.mark.parametrize("unknown", [0.0, -1.0, np.nan, np.inf])
+def test_a_length_that_cannot_be_is_not_known(unknown: float):
+    found = find_filmed_drop(filmed(0.7, gap_m=1.0), 0)
+    assert scale_checks(found, unknown, None) == []
+    assert scale_checks(found, unknown, unknown) == []
+    assert scale_checks(found, unknown, 1.0) == scale_checks(found, None, 1.0) != []
+    assert scale_checks(found, 0.08, unknown) == scale_checks(found, 0.08, None) != []

@@ -8,8 +8,7 @@ import subprocess
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from http.client import HTTPConnection
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -24,6 +23,7 @@ from recorders.session import record_episode
 from recorders.simulated_drop import DropOrder
 from tests.analysis.test_album import episode_of
 from tests.conftest import BIN, Command
+from tests.pages import Page, assert_for_this_machine_alone
 from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.progress import Progress
 from tunenet_logs.reader import read_episode
@@ -32,33 +32,15 @@ BALL_PX, BALL_PICTURE = (159.5, 119.0), 21
 """Where the ball of `film` is in flight."""
 
 
-@dataclass(frozen=True)
-class Page:
-    """Asks a page."""
-
-    url: str
-
-    @property
-    def host(self) -> str:
-        return self.url.removeprefix("http://").strip("/")
-
-    def ask(
-        self, method: str, path: str, body: str | None = None, **headers: str
-    ) -> tuple[int, bytes]:
-        connection = HTTPConnection(self.host, timeout=10)
-        try:
-            connection.request(method, path, body, headers)
-            response = connection.getresponse()
-            return response.status, response.read()
-        finally:
-            connection.close()
+class MarkingPage(Page):
+    """The page on which the ball is marked."""
 
     def tune(self, x: object, y: object, picture: object) -> int:
         return self.ask("POST", "/tune", json.dumps({"x": x, "y": y, "picture": picture}))[0]
 
 
 @contextmanager
-def tuning(log: Path, *words: str) -> Iterator[tuple[Page, subprocess.Popen[str]]]:
+def tuning(log: Path, *words: str) -> Iterator[tuple[MarkingPage, subprocess.Popen[str]]]:
     process = subprocess.Popen(
         [BIN / "tunenet-tune", log, "--preview", *words],
         cwd=log.parent, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
@@ -67,7 +49,7 @@ def tuning(log: Path, *words: str) -> Iterator[tuple[Page, subprocess.Popen[str]
         assert process.stderr is not None
         line = process.stderr.readline()
         assert line.startswith("mark the ball at http://127.0.0.1:"), line
-        yield Page(line.removeprefix("mark the ball at ").strip()), process
+        yield MarkingPage(line.removeprefix("mark the ball at ").strip()), process
     finally:
         process.kill()
         process.communicate()
@@ -88,10 +70,10 @@ def whole(film: Path) -> Album:
 
 
 @pytest.fixture
-def page(whole: Album) -> Iterator[tuple[Page, Marking]]:
+def page(whole: Album) -> Iterator[tuple[MarkingPage, Marking]]:
     marking = Marking(whole)
     try:
-        yield Page(marking.url), marking
+        yield MarkingPage(marking.url), marking
     finally:
         marking.close()
 
@@ -126,7 +108,7 @@ def test_the_mark_is_what_tuning_goes_by(film: Path, tmp_path: Path):
         assert page.tune(*BALL_PX, 10) == 204
         out, err = process.communicate(timeout=60)
     assert process.returncode == 1
-    assert "nothing moves at 160, 119 px at 0.10 s" in out + err
+    assert "nothing moves at 160, 119 px at 0.10 s; mark the ball in flight" in out + err
     with tuning(path, "--start", "0.5") as (page, process):
         assert json.loads(page.ask("GET", "/album")[1])["seconds"][0] == 1
         assert page.tune(*BALL_PX, BALL_PICTURE) == 204
@@ -173,7 +155,7 @@ def test_a_page_that_is_loaded_again_is_not_closed(film: Path):
         assert process.poll() is None
 
 
-def test_a_click_is_a_place_and_a_time(page: tuple[Page, Marking], whole: Album):
+def test_a_click_is_a_place_and_a_time(page: tuple[MarkingPage, Marking], whole: Album):
     asked, marking = page
     assert asked.tune(100.25, 60, 30) == 204
     assert marking.wait() == (100.25, 60, whole.shots[30].seconds)
@@ -182,7 +164,7 @@ def test_a_click_is_a_place_and_a_time(page: tuple[Page, Marking], whole: Album)
     assert marking.wait() is None
 
 
-def test_pictures_are_the_recordings_own(page: tuple[Page, Marking], film: Path):
+def test_pictures_are_the_recordings_own(page: tuple[MarkingPage, Marking], film: Path):
     asked, _ = page
     frames = list(read_episode(film).frames())
     for number in (0, 7, 119):
@@ -194,30 +176,20 @@ def test_pictures_are_the_recordings_own(page: tuple[Page, Marking], film: Path)
     ["/picture/120", "/picture/-1", "/picture/", "/picture/x", "/picture/1/..", "/7", "/../cli",
      "/picture/99999999999999999999", "/picture/٣", "/nix"],
 )  # fmt: skip
-def test_there_is_nothing_else_on_it(page: tuple[Page, Marking], path: str):
+def test_there_is_nothing_else_on_it(page: tuple[MarkingPage, Marking], path: str):
     from urllib.parse import quote
 
     assert page[0].ask("GET", quote(path))[0] == 404
 
 
-def test_it_is_for_this_machine_alone(page: tuple[Page, Marking]):
+def test_it_is_for_this_machine_alone(page: tuple[MarkingPage, Marking]):
     asked, marking = page
     port = asked.host.partition(":")[2]
     assert asked.ask("GET", "/album", Host=f"localhost:{port}")[0] == 200
-    for headers in (
-        {"Host": "evil.example"},
-        {"Host": f"evil.example:{port}"},
-        {"Origin": "http://evil.example"},
-        {"Origin": "null"},
-    ):
-        for method, path in (("GET", "/"), ("GET", "/picture/0"), ("POST", "/without")):
-            assert asked.ask(method, path, **headers)[0] == 403
+    refused = (("GET", "/"), ("GET", "/picture/0"), ("POST", "/without"))
+    assert_for_this_machine_alone(asked, refused)
     asked.tune(1, 2, 0)
     assert marking.wait() == (1, 2, 0)  # nothing of the others' came before
-    listening = Path("/proc/net/tcp").read_text()
-    bound = [line.split()[1] for line in listening.splitlines() if line.split()[3] == "0A"]
-    assert f"0100007F:{int(port):04X}" in bound
-    assert f"00000000:{int(port):04X}" not in bound
 
 
 @pytest.mark.parametrize(
@@ -231,7 +203,7 @@ def test_it_is_for_this_machine_alone(page: tuple[Page, Marking]):
         "[" * 1000, '{"x": 1, "y": 1, "picture": 1}' + " " * 1000, "[" * 60_000,
     ],
 )  # fmt: skip
-def test_a_mark_that_is_none_is_refused(page: tuple[Page, Marking], body: str):
+def test_a_mark_that_is_none_is_refused(page: tuple[MarkingPage, Marking], body: str):
     asked, marking = page
     assert asked.ask("POST", "/tune", body)[0] == 400
     asked.tune(5, 6, 0)
@@ -244,7 +216,7 @@ def test_a_mark_that_is_none_is_refused(page: tuple[Page, Marking], body: str):
         (("--ball-at", "1,2,3"), "--ball-at"),
         (("--hsv", "0,0,0:9,9,9"), "--hsv"),
         (("--topic", "/nix"), "/camera/image_raw/compressed"),
-        (("--start", "900"), "no picture"),
+        (("--start", "900"), "1.98 s long"),
     ],
 )
 def test_what_does_not_go_with_it_is_one_line(

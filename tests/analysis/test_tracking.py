@@ -229,6 +229,33 @@ def test_a_mark_outside_the_picture_is_refused(episode: Episode, hints: Hints):
         tracked(episode, hints)
 
 
+@pytest.mark.parametrize("at_s", [1.9, 99.0])
+def test_a_mark_past_the_end_is_refused_with_the_length(episode: Episode, at_s: float):
+    with pytest.raises(UsageError, match=r"0\.00 to 1\.78 s \(the recording is 1\.78 s long\)"):
+        tracked(episode, Hints(ball_at=(160.0, 120.0, at_s)))
+
+
+def test_a_mark_outside_the_part_selected_is_refused(episode: Episode):
+    pictures = Pictures(episode, episode.picture_topics[0], start_s=0.5, end_s=1.19)
+    for at_s in (0.2, 1.5):
+        with pytest.raises(UsageError, match=r"0\.50 to 1\.18 s .* 1\.78 s long"):
+            track_ball(pictures, Hints(ball_at=(160.0, 120.0, at_s)))
+
+
+def test_a_part_past_the_end_is_refused_with_the_length(episode: Episode):
+    with pytest.raises(NotFoundError, match=r"--start 9 is past the end: .* is 1\.78 s long"):
+        Pictures(episode, episode.picture_topics[0], start_s=9)
+
+
+def test_a_mark_need_not_be_exact_but_near(episode: Episode):
+    track = tracked(episode)
+    x, y = track.places_px[30]
+    seconds = float(track.stamps_ns[30] - track.stamps_ns[0]) * 1e-9
+    assert tracked(episode, Hints(ball_at=(x + 30, y - 20, seconds))).found.mean() > 0.95
+    with pytest.raises(NotFoundError, match=f"nothing moves near 5, 5 px .* {x:.0f}, {y:.0f} px"):
+        tracked(episode, Hints(ball_at=(5.0, 5.0, seconds)))
+
+
 def test_nothing_moves(episode: Episode):
     still = next(episode.frames()).decode()
 

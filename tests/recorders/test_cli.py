@@ -63,6 +63,19 @@ def test_a_bad_value_is_one_line_that_names_it(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("source", [("--simulate", "drop"), ("--camera", "clip.mp4")])
+@pytest.mark.parametrize("name", ["x.mp4", "x", "x.mcap.active", "x.MCAP"])
+def test_a_log_is_not_named_like_something_else(
+    command: Command, tmp_path: Path, source: tuple[str, str], name: str
+):
+    result = command("tunenet-record", *source, "-o", name, cwd=tmp_path)
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert name in result.stderr
+    assert f"name it {Path(name).with_suffix('.mcap')}" in result.stderr
+    assert not list(tmp_path.iterdir())
+
+
 def test_the_seed_draws_what_was_not_asked_for():
     first, second, other = (simulate_drop(DropOrder(seed=seed)) for seed in (4, 4, 5))
     assert first.info == second.info

@@ -11,13 +11,12 @@ import av
 import numpy as np
 import pytest
 
-from tests.conftest import ROOT, Command
+from tests.conftest import Command, real
 from tests.recorders.mjpeg_camera import number_in, picture
 from tunenet_logs.formats.video import open_video
 from tunenet_logs.images import image_size
 from tunenet_logs.reader import read_episode
 
-REAL = ROOT.parent / "shared" / "real" / "videos" / "red_ball_drop_120fps.mp4"
 SIZE = (320, 240)
 
 
@@ -139,10 +138,10 @@ def test_what_is_known_of_the_ball_goes_into_the_log(command: Command, tmp_path:
     assert episode.info.notes["ball"] == "red rubber"
 
 
-@pytest.mark.skipif(not REAL.exists(), reason="the clip of a real drop is not on this machine")
 def test_a_real_phone_clip_is_upright_and_at_its_true_rate(command: Command, tmp_path: Path):
     log = tmp_path / "a.mcap"
-    result = command("tunenet-record", "--camera", REAL, "-o", log)
+    clip = real("videos/red_ball_drop_120fps.mp4")
+    result = command("tunenet-record", "--camera", clip, "-o", log)
     assert result.returncode == 0, result.stderr
     episode = read_episode(log)
     frames = list(episode.frames())

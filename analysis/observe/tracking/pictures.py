@@ -9,6 +9,7 @@ from contextlib import suppress
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.observe.part import check_start
 from tunenet_logs.episode import Episode, Frame
 from tunenet_logs.errors import LogError, NotFoundError, UsageError
 from tunenet_logs.images import image_size
@@ -19,6 +20,9 @@ _MOST_SAMPLES = 64
 _MOST_PIXELS = 480_000
 """Above that, pictures are reduced: a ball is still found to a small part of a pixel."""
 
+_ROUNDED_S = 0.1
+"""By as much may a time that somebody read off a player lie outside the pictures."""
+
 
 class Pictures:
     """The decoded pictures of an episode, reduced to a size at which tracking is quick.
@@ -26,6 +30,7 @@ class Pictures:
     Attributes:
         stamps_ns: of the pictures, shape (T,), strictly increasing.
         start_ns: stamp of the topic's first picture, selected or not.
+        length_s: from there to the topic's last picture, selected or not.
         size_px: (width, height) before reduction.
         scale: by which they are reduced, a whole number.
         other_size: pictures of another size than most, left out.
@@ -41,7 +46,7 @@ class Pictures:
         end_s: leave out what comes after.
 
     Raises:
-        NotFoundError: there is none.
+        NotFoundError: there is none, or the part begins past the last one.
     """
 
     def __init__(
@@ -56,6 +61,7 @@ class Pictures:
         self._start_s = start_s
         self._end_s = end_s
         self.start_ns = 0
+        self.length_s = 0.0
         self.damaged = 0
         self.opened = 0
         self.other_size = 0
@@ -113,13 +119,18 @@ class Pictures:
         Ours are reduced, and begin at `stamps_ns[0]`.
 
         Raises:
-            UsageError: the place is not in the picture.
+            UsageError: the place is not in the picture, or the time not in the part selected.
         """
         x, y, at_s = ball_at
         wide, tall = self.size_px
         if not (0 <= x < wide and 0 <= y < tall):
             raise UsageError(f"--ball-at {x:g},{y:g} is not in the picture of {wide} x {tall} px")
-        before_s = (int(self.stamps_ns[0]) - self.start_ns) * 1e-9
+        before_s, last_s = ((int(one) - self.start_ns) * 1e-9 for one in self.stamps_ns[[0, -1]])
+        if not before_s - _ROUNDED_S <= at_s <= last_s + _ROUNDED_S:
+            raise UsageError(
+                f"--ball-at: {at_s:g} s is not in the pictures, {before_s:.2f} to {last_s:.2f} s "
+                f"(the recording is {self.length_s:.2f} s long)"
+            )
         return x / self.scale, y / self.scale, at_s - before_s
 
     def _usual_size(self) -> tuple[int, int]:
@@ -138,11 +149,13 @@ class Pictures:
             if index == 0:
                 self.start_ns = frame.stamp_ns
             since_s = (frame.stamp_ns - self.start_ns) * 1e-9
+            self.length_s = max(self.length_s, since_s)
             if self._start_s is not None and since_s < self._start_s:
                 continue
             if self._end_s is not None and since_s > self._end_s:
                 continue
             yield index, frame
+        check_start(self._start_s, self.length_s)
 
     def _reduced(self, picture: Picture) -> Picture:
         if self.scale == 1:

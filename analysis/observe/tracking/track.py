@@ -24,6 +24,8 @@ Picture = NDArray[np.uint8]
 _LOST_S = 0.4
 _LEAST_SEEN = 8
 _RECENT = 4
+_NEAR_PX = 50
+"""From a mark to the edge of what it marks, in the reduced picture: it need not be exact."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,12 @@ class Hints:
     roi: tuple[int, int, int, int] | None = None
     hsv: tuple[tuple[int, int, int], tuple[int, int, int]] | None = None
     ball_at: tuple[float, float, float] | None = None
+
+    @property
+    def options(self) -> tuple[str, ...]:
+        """What those that are given are called on the command line."""
+        named = {"--roi": self.roi, "--hsv": self.hsv, "--ball-at": self.ball_at}
+        return tuple(name for name, value in named.items() if value is not None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +104,7 @@ def track_ball(pictures: Pictures, hints: Hints | None = None) -> Track:
         return _track(pictures, table, chosen, cost, arc)
     table = candidates(lambda one: moving_blobs(one, background, allowed))
     if hints.ball_at is not None:
-        table = _only_like(table, pictures.scaled(hints.ball_at))
+        table = _only_like(table, pictures, hints.ball_at)
     arc = _arc_of(table)
     look = _look(table, arc)
     chosen, _ = _follow(table, arc, look)
@@ -119,15 +127,24 @@ def _arc_of(table: Candidates) -> Arc:
     return arc
 
 
-def _only_like(table: Candidates, ball_at: tuple[float, float, float]) -> Candidates:
+def _only_like(
+    table: Candidates, pictures: Pictures, ball_at: tuple[float, float, float]
+) -> Candidates:
     """Without the candidates that look unlike the one nearest to where the user saw the ball."""
-    x, y, at_s = ball_at
+    x, y, at_s = pictures.scaled(ball_at)
+    there = "{:.0f}, {:.0f} px at {:.2f} s".format(*ball_at)
     frame = int(np.abs(table.seconds - at_s).argmin())
     apart = np.linalg.norm(table.places_px[frame] - np.array([x, y]), axis=1)
     if not np.isfinite(apart).any():
-        raise NotFoundError(f"nothing moves at {x:.0f}, {y:.0f} px at {at_s:.2f} s")
+        raise NotFoundError(f"nothing moves at {there}; mark the ball in flight")
     nearest = int(np.nanargmin(apart))
     colour, area = table.colours[frame, nearest], table.areas_px[frame, nearest]
+    if apart[nearest] > _NEAR_PX + np.sqrt(area / np.pi):
+        right, down = table.places_px[frame, nearest] * pictures.scale
+        raise NotFoundError(
+            f"nothing moves near {there}, the nearest at {right:.0f}, {down:.0f} px; "
+            "mark the ball in flight"
+        )
     unlike = np.linalg.norm(table.colours - colour, axis=2) > 90
     unlike |= np.abs(np.log(table.areas_px / area)) > np.log(4)
     areas = np.where(unlike, np.nan, table.areas_px)
