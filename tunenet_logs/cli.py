@@ -1,89 +1,172 @@
-"""tunenet-logs: what is in a log."""
+"""tunenet-logs: what is in a log, is it whole, save what can be saved, bring one in."""
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from tunenet_logs.commandline import Parser, run
-
-if TYPE_CHECKING:
-    from tunenet_logs.episode import Channel, Episode, EpisodeInfo
+from tunenet_logs.errors import TuneNetError
+from tunenet_logs.progress import Progress
 
 _DESCRIPTION = """\
-Show what is in a log: what recorded it, its channels with their types, counts and
-rates, which of them can be used and why not the others, and what is damaged."""
+Logs of any kind: MCAP, ROS 1 and ROS 2 bags, CSV tables, videos.
+
+  info      what recorded it, its channels with types, counts, rates and gaps, which
+            of them can be used and why not the others, what is damaged
+  check     is it whole: every checksum, record, message and picture
+  recover   copy what is whole of a damaged log to a new one that opens everywhere
+  import    bring a bag, a CSV table or a video into a log of our own format"""
 
 _EXAMPLES = """\
   tunenet-logs info drop.mcap
+  tunenet-logs check drop.mcap arm.bag
+  tunenet-logs recover drop.mcap.active -o drop.mcap   (what a killed recording left)
+  tunenet-logs import arm.bag -o arm.mcap"""
+
+_INFO = """\
+Show what is in a log: what recorded it, its channels with their types, counts, rates
+and gaps, which of them can be used and why not the others, what is damaged, and a
+timeline of when each was heard (# as often as usual, . less, blank not at all)."""
+
+_INFO_EXAMPLES = """\
+  tunenet-logs info drop.mcap
+  tunenet-logs info arm.bag rosbag2_2026_11_02/
   tunenet-logs info drop.mcap.active     (what a killed recording left)"""
+
+_CHECK = """\
+Read all of a log: every checksum, record, message and picture. Says what is damaged
+and where. Exit code 1 if anything is. Most bags, and logs by other recorders, carry
+no checksum of their data: then damage may go unseen, and a line says so."""
+
+_CHECK_EXAMPLES = """\
+  tunenet-logs check drop.mcap
+  tunenet-logs check logs/*.mcap"""
+
+_RECOVER = """\
+Copy every whole message of a damaged log, as it is, to a new MCAP file with an index
+and all checksums, which opens in every reader. The log itself is never changed."""
+
+_RECOVER_EXAMPLES = """\
+  tunenet-logs recover drop.mcap.active -o drop.mcap
+  tunenet-logs recover broken.bag -o saved.mcap"""
+
+_IMPORT = """\
+Write the positions, joints and pictures of a bag, CSV table, video or log of others
+to a log of our own format. Pictures that are compressed stay as they are. What no
+task uses is left out, and named."""
+
+_IMPORT_EXAMPLES = """\
+  tunenet-logs import arm.bag                  (writes arm.mcap beside it)
+  tunenet-logs import torques.csv -o arm.mcap
+  tunenet-logs import rosbag2_2026_11_02/ -o drop.mcap"""
 
 
 def build_parser() -> Parser:
     """The command's arguments."""
     parser = Parser("tunenet-logs", _DESCRIPTION, _EXAMPLES)
-    verbs = parser.add_subparsers(dest="verb", metavar="{info}", required=True)
-    info = verbs.add_parser(
-        "info", prog="tunenet-logs info", description=_DESCRIPTION, examples=_EXAMPLES
-    )
-    info.add_argument("log", type=Path, metavar="LOG")
+    verbs = parser.add_subparsers(dest="verb", metavar="{info,check,recover,import}", required=True)
+
+    def verb(name: str, description: str, examples: str, body: Callable) -> argparse.ArgumentParser:
+        made = verbs.add_parser(
+            name, prog=f"tunenet-logs {name}", description=description, examples=examples
+        )
+        made.set_defaults(body=body)
+        return made
+
+    info = verb("info", _INFO, _INFO_EXAMPLES, _info)
+    info.add_argument("logs", nargs="+", type=Path, metavar="LOG")
+    check = verb("check", _CHECK, _CHECK_EXAMPLES, _check)
+    check.add_argument("logs", nargs="+", type=Path, metavar="LOG")
+    check.add_argument("--quiet", action="store_true", help="no progress bar")
+    for name, description, examples, body in (
+        ("recover", _RECOVER, _RECOVER_EXAMPLES, _recover),
+        ("import", _IMPORT, _IMPORT_EXAMPLES, _import),
+    ):
+        copying = verb(name, description, examples, body)
+        add = copying.add_argument
+        add("log", type=Path, metavar="LOG")
+        required = name == "recover"
+        where = "log to write" if required else "log to write (default: NAME.mcap beside it)"
+        add("-o", "--output", type=Path, metavar="OUT", required=required, help=where)
+        add("--overwrite", action="store_true", help="replace an existing log")
+        add("--quiet", action="store_true", help="no progress bar")
     return parser
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point of `tunenet-logs`."""
-    return run(build_parser(), _info, argv)
+    return run(build_parser(), lambda arguments: arguments.body(arguments), argv)
+
+
+def _each(logs: Sequence[Path], body: Callable[[Path], bool]) -> int:
+    """Run for every log; one that cannot be read does not stop the rest."""
+    good = True
+    for log in logs:
+        try:
+            good &= body(log)
+        except TuneNetError as error:
+            if len(logs) == 1:
+                raise
+            print(f"tunenet-logs: {error}", file=sys.stderr)
+            good = False
+    return 0 if good else 1
 
 
 def _info(arguments: argparse.Namespace) -> int:
+    from tunenet_logs.describe import describe
     from tunenet_logs.reader import read_episode
 
-    print(describe(arguments.log, read_episode(arguments.log)))
+    def show(log: Path) -> bool:
+        print(describe(log, read_episode(log)))
+        return True
+
+    return _each(arguments.logs, show)
+
+
+def _check(arguments: argparse.Namespace) -> int:
+    from tunenet_logs.checking import check
+
+    def show(log: Path) -> bool:
+        health = check(log, Progress(quiet=arguments.quiet))
+        channels = health.episode.channels
+        held = f"{sum(one.messages for one in channels)} messages in {len(channels)} channels"
+        print(f"{log}: {'damaged' if health.damage else 'whole'}, {held}")
+        for line in health.damage:
+            print(f"  damage: {line}")
+        for line in health.doubts:
+            print(f"  note: {line}")
+        return not health.damage
+
+    return _each(arguments.logs, show)
+
+
+def _recover(arguments: argparse.Namespace) -> int:
+    from tunenet_logs.recovery import recover
+
+    log, output = arguments.log, arguments.output
+    recovered = recover(log, output, overwrite=arguments.overwrite)
+    print(f"{output}: {recovered.messages} messages saved from {log}")
+    for line in recovered.losses:
+        print(f"  lost: {line}")
     return 0
 
 
-def describe(path: Path, episode: Episode) -> str:
-    """The log in words, one fact a line."""
-    lines = [f"{path}: {path.stat().st_size} bytes"]
-    lines += [f"  {line}" for line in _episode_lines(episode.info)]
-    lines += [f"  warning: {warning}" for warning in episode.warnings]
-    rows = [("topic", "type", "messages", "rate", "duration", "use")]
-    rows += [_channel_row(one) for one in episode.channels]
-    if len(rows) == 1:
-        return "\n".join([*lines, "  no channels"])
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    for row in rows:
-        cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
-        lines.append("  " + "  ".join(cells).rstrip())
-    return "\n".join(lines)
+def _import(arguments: argparse.Namespace) -> int:
+    from tunenet_logs.importing import import_log
 
-
-def _episode_lines(info: EpisodeInfo) -> list[str]:
-    facts = [("kind", info.kind), ("source", info.source), ("preset", info.preset)]
-    lines = [f"{name}: {value}" for name, value in facts if value]
-    for name in ("rig", "truth", "counts", "notes"):
-        group = getattr(info, name)
-        if group:
-            lines.append(f"{name}: " + ", ".join(f"{key} {value}" for key, value in group.items()))
-    return lines
-
-
-def _channel_row(channel: Channel) -> tuple[str, ...]:
-    import numpy as np
-
-    duration_s = float(np.ptp(channel.log_ns)) * 1e-9 if channel.messages else 0.0
-    rate = f"{(channel.messages - 1) / duration_s:.1f} Hz" if duration_s > 0 else "-"
-    return (
-        channel.topic,
-        channel.type_name or "-",
-        str(channel.messages),
-        rate,
-        f"{duration_s:.2f} s",
-        "yes" if channel.skipped is None else f"no: {channel.skipped}",
-    )
+    log = arguments.log
+    output = arguments.output or log.parent / f"{log.resolve().stem}.mcap"
+    progress = Progress(quiet=arguments.quiet)
+    imported = import_log(log, output, overwrite=arguments.overwrite, progress=progress)
+    print(f"{output}: {imported.messages} messages from {log}")
+    for line in imported.left_out:
+        print(f"  left out: {line}")
+    for line in imported.warnings:
+        print(f"tunenet-logs: {log}: {line}", file=sys.stderr)
+    return 0
 
 
 if __name__ == "__main__":

@@ -91,20 +91,21 @@ class JointRows:
         Raises:
             ValueError, OverflowError: it makes no sense.
         """
-        said = (sample.position, sample.velocity, sample.effort)
-        parts = [np.asarray(part, np.float64).tobytes() for part in said]
-        names = sample.names or _numbered(max(len(part) for part in parts) // 8)
+        stamp_ns, names, *said = sample
+        position, velocity, effort = (np.asarray(part, np.float64).tobytes() for part in said)
+        names = names or _numbered(max(len(position), len(velocity), len(effort)) // 8)
         block = self._blocks.get(names)
         if block is None:
             block = self._new_block(names)
-        rows, stores = block
+        rows, (positions, velocities, efforts) = block
         width = 8 * len(names)
-        if any(len(part) not in (0, width) for part in parts):
+        if not {len(position), len(velocity), len(effort)} <= {0, width}:
             raise ValueError(f"a message has {len(names)} names but another number of values")
         self._count += 1
-        rows.add(sample.stamp_ns, log_ns, self._count)
-        for store, part in zip(stores, parts, strict=True):
-            store.frombytes(part or _NOTHING[:width])
+        rows.add(stamp_ns, log_ns, self._count)
+        positions.frombytes(position or _NOTHING[:width])
+        velocities.frombytes(velocity or _NOTHING[:width])
+        efforts.frombytes(effort or _NOTHING[:width])
 
     def _new_block(self, names: tuple[str, ...]) -> tuple[_Rows, tuple[array[float], ...]]:
         known = sum(len(one) for one in self._blocks)

@@ -59,6 +59,8 @@ def read_episode(path: Path) -> Episode:
                 gathered.info = dict(record.values)
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror})") from error
+    if gathered.is_empty and not all(one.harmless for one in losses):
+        raise LogError(f"{path}: nothing in it can be read: {losses[0]}")
     return gathered.episode(path, found, losses)
 
 
@@ -115,6 +117,11 @@ class _Gathered:
         self.info: Mapping[str, str] = {}
         self._by_channel: dict[RawChannel, _Topic] = {}
         self._topics: dict[tuple[str, ...], _Topic] = {}
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing came, not even a description."""
+        return not self._topics and not self.info
 
     def describe(self, channel: RawChannel) -> None:
         """A channel; one of the same topic, type and encoding as another goes on with it."""

@@ -25,6 +25,7 @@ from tunenet_logs.errors import NotFoundError
 Array = NDArray[np.float64]
 
 _AXES = {"+z": (2, 1), "-z": (2, -1), "+y": (1, 1), "-y": (1, -1), "+x": (0, 1), "-x": (0, -1)}
+_POSITION = ("x", "y", "z")
 _AGREEMENT = 0.02
 _FIT = 0.008
 _PAPER_FIT = 0.03
@@ -40,9 +41,8 @@ class DropTask:
 
     def fits(self, episode: Episode, topic: str | None) -> bool:
         """Whether there are positions in it; see `Task.fits`."""
-        if topic is not None:
-            return topic in episode.signals
-        return any(one.columns == ("x", "y", "z") for one in episode.signals.values())
+        signals = episode.signals.values() if topic is None else episode.signals_of(topic)
+        return any(_is_position(one) for one in signals)
 
     @property
     def presets(self) -> Mapping[str, Preset]:
@@ -92,16 +92,17 @@ class DropTask:
 def _candidates(episode: Episode, selection: Selection) -> list[Signal]:
     """Position signals in the order in which to try them."""
     if selection.topic is not None:
-        if selection.topic in episode.signals:
-            return [episode.signals[selection.topic]]
-        known = ", ".join(sorted({*episode.signals, *episode.picture_topics})) or "none"
-        raise NotFoundError(f"no usable topic {selection.topic}; there is: {known}")
-    positions = [one for one in episode.signals.values() if one.columns == ("x", "y", "z")]
+        positions = [one for one in episode.signals_of(selection.topic) if _is_position(one)]
+        if not positions:
+            usable = {name for name, one in episode.signals.items() if _is_position(one)}
+            known = ", ".join(sorted({*usable, *episode.picture_topics})) or "none"
+            raise NotFoundError(f"no usable topic {selection.topic}; there is: {known}")
+    else:
+        positions = [one for one in episode.signals.values() if _is_position(one)]
     if not positions:
         seen = ", ".join(f"{one.topic} ({one.type_name or 'no type'})" for one in episode.channels)
         raise NotFoundError(
-            "no channel with the position of a ball (geometry_msgs/msg/PoseStamped); "
-            f"channels: {seen or 'none'}"
+            f"no channel with the position of a ball or pictures of it; channels: {seen or 'none'}"
         )
     return sorted(positions, key=lambda one: (one.name != TOPIC, "ball" not in one.name, one.name))
 
@@ -114,6 +115,10 @@ def _unused_hints(episode: Episode, selection: Selection) -> tuple[str, ...]:
     topics = episode.picture_topics
     there = f"to use its pictures: --topic {topics[0]}" if topics else "it holds no pictures"
     return (f"{', '.join(options)} not used: the log holds the ball's position ({there})",)
+
+
+def _is_position(signal: Signal) -> bool:
+    return signal.columns == _POSITION and signal.unit == "m"
 
 
 def _cut(signal: Signal, selection: Selection) -> Signal:

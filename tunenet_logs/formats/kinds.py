@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,8 +27,7 @@ class Positions:
     read: Callable[[Any], Iterable[Place]]
 
 
-@dataclass(frozen=True, eq=False)
-class JointSample:
+class JointSample(NamedTuple):
     """What one message says of joints: rad, rad/s, N·m; empty where it does not say."""
 
     stamp_ns: int

@@ -153,7 +153,9 @@ class _Reading:
             at += _HEAD.size
             if length > len(plain) - at:
                 raise ValueError(f"a record inside claims {length} bytes")
-            if opcode in _USED_IN_CHUNK:
+            if opcode == Opcode.MESSAGE:
+                self._message(plain[at : at + length], found)
+            elif opcode in _USED_IN_CHUNK:
                 found += self._parse(opcode, plain[at : at + length])
             elif opcode in _USED:
                 raise ValueError(f"it holds a record of kind {opcode}, which belongs outside")
@@ -162,7 +164,9 @@ class _Reading:
 
     def _parse(self, opcode: int, body: memoryview) -> Sequence[Record]:
         if opcode == Opcode.MESSAGE:
-            return self._message(body)
+            found: list[Record] = []
+            self._message(body, found)
+            return found
         stream = ReadDataStream(_Exact(body))
         if opcode == Opcode.SCHEMA:
             schema = mcap_records.Schema.read(stream)
@@ -183,24 +187,23 @@ class _Reading:
             return (RawAttachment(one.name, one.media_type, one.data, log_ns, create_ns),)
         return ()
 
-    def _message(self, body: memoryview) -> Sequence[Record]:
+    def _message(self, body: memoryview, found: list[Record]) -> None:
         number, sequence, log_ns, publish_ns = _MESSAGE.unpack_from(body)
-        channel = self.channels.get(number)
-        if channel is None:
-            return self._orphan(number, body)
-        self.messages += 1
-        if self.topics is not None and channel.topic not in self.topics:
-            return ()
-        return (RawMessage(channel, log_ns, body[_MESSAGE.size :], publish_ns, sequence),)
-
-    def _orphan(self, number: int, body: memoryview) -> Sequence[Record]:
-        """A message before its channel was described: that was in a damaged chunk perhaps."""
-        channel = self._channels_of_summary().get(number)
+        channel = self.channels.get(number) or self._adopted(number, found)
         if channel is None:
             self.unknown += 1
-            return ()
-        self.channels[number] = channel
-        return (channel, *self._message(body))
+            return
+        self.messages += 1
+        if self.topics is None or channel.topic in self.topics:
+            found.append(RawMessage(channel, log_ns, body[_MESSAGE.size :], publish_ns, sequence))
+
+    def _adopted(self, number: int, found: list[Record]) -> RawChannel | None:
+        """A channel whose description was in a damaged chunk perhaps."""
+        channel = self._channels_of_summary().get(number)
+        if channel is not None:
+            self.channels[number] = channel
+            found.append(channel)
+        return channel
 
     def _channels_of_summary(self) -> dict[int, RawChannel]:
         """The channels as the end of the file repeats them; none where that is missing."""

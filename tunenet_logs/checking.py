@@ -1,0 +1,61 @@
+"""Whether a log is whole: every record, checksum, message and picture of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from tunenet_logs.episode import Episode
+from tunenet_logs.errors import LogError
+from tunenet_logs.progress import Progress
+from tunenet_logs.reader import read_episode
+
+
+@dataclass(frozen=True, eq=False)
+class Health:
+    """What a check found.
+
+    Attributes:
+        damage: what is wrong and where, one a line; empty for a whole log.
+        doubts: what is no damage but should be known.
+    """
+
+    episode: Episode
+    damage: tuple[str, ...]
+    doubts: tuple[str, ...]
+
+
+def check(path: Path, progress: Progress) -> Health:
+    """Read all of a log, and decode all of its pictures.
+
+    Raises:
+        LogError: nothing of it can be read.
+    """
+    episode = read_episode(path)
+    damage = list(episode.losses)
+    for topic in episode.picture_topics:
+        damage += _picture_damage(episode, topic, progress)
+    doubts = tuple(one for one in episode.warnings if one not in episode.losses)
+    return Health(episode, tuple(damage), doubts)
+
+
+def _picture_damage(episode: Episode, topic: str, progress: Progress) -> list[str]:
+    """What is wrong with the pictures of a topic, beside messages that are damaged themselves."""
+    told = sum(one.messages for one in episode.channels if one.topic == topic)
+    bad: list[int] = []
+    count = 0
+    found: list[str] = []
+    with progress.bar(told, topic, "picture") as bar:
+        try:
+            for frame in episode.frames(topic):
+                count += 1
+                bar.update(1)
+                try:
+                    frame.decode()
+                except LogError:
+                    bad.append(frame.stamp_ns)
+        except LogError as error:
+            found.append(f"{topic}: reading ends after {count} of {told} pictures: {error}")
+    if bad:
+        found.append(f"{topic}: {len(bad)} of {count} pictures are damaged, first {bad[0]} ns")
+    return found

@@ -1,0 +1,105 @@
+"""An episode in words: what `tunenet-logs info` prints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tunenet_logs.episode import Channel, Episode, EpisodeInfo
+
+_COLUMNS = 60
+_GAP = 3.0
+"""A gap is an interval of so many usual ones."""
+
+_EARLIEST_DATE_NS = 1_000_000_000 * 10**9
+"""Stamps before September 2001 are times of a simulator or video, not dates."""
+
+
+def describe(path: Path, episode: Episode) -> str:
+    """The log, one fact a line: its info, its damage, its channels and when they were heard."""
+    lines = [f"{path}: {_size(path)} bytes{_span(episode.channels)}"]
+    lines += [f"  {line}" for line in _episode_lines(episode.info)]
+    lines += [f"  warning: {warning}" for warning in episode.warnings]
+    if not episode.channels:
+        return "\n".join([*lines, "  no channels"])
+    rows = [("topic", "type", "messages", "rate", "duration", "gaps", "use")]
+    rows += [_channel_row(one) for one in episode.channels]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    for row in rows:
+        cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
+        lines.append("  " + "  ".join(cells).rstrip())
+    return "\n".join([*lines, *_timeline(episode.channels)])
+
+
+def gaps_s(stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+    """The intervals between messages that are much longer than usual [s]."""
+    periods = np.diff(np.sort(stamps_ns)) * 1e-9
+    if len(periods) < 2:
+        return np.empty(0)
+    return periods[periods > _GAP * max(float(np.median(periods)), 1e-3)]
+
+
+def _size(path: Path) -> int:
+    if path.is_dir():
+        return sum(one.stat().st_size for one in path.iterdir() if one.is_file())
+    return path.stat().st_size
+
+
+def _span(channels: Sequence[Channel]) -> str:
+    heard = [one.log_ns for one in channels if one.messages]
+    if not heard:
+        return ""
+    start_ns, end_ns = min(int(one.min()) for one in heard), max(int(one.max()) for one in heard)
+    text = f", {(end_ns - start_ns) * 1e-9:.2f} s"
+    if start_ns >= _EARLIEST_DATE_NS:
+        text += f" from {datetime.fromtimestamp(start_ns // 10**9, UTC):%Y-%m-%d %H:%M:%S} UTC"
+    return text
+
+
+def _episode_lines(info: EpisodeInfo) -> list[str]:
+    facts = [("kind", info.kind), ("source", info.source), ("preset", info.preset)]
+    lines = [f"{name}: {value}" for name, value in facts if value]
+    for name in ("rig", "truth", "counts", "notes"):
+        group = getattr(info, name)
+        if group:
+            lines.append(f"{name}: " + ", ".join(f"{key} {value}" for key, value in group.items()))
+    return lines
+
+
+def _channel_row(channel: Channel) -> tuple[str, ...]:
+    duration_s = float(np.ptp(channel.log_ns)) * 1e-9 if channel.messages else 0.0
+    rate = f"{(channel.messages - 1) / duration_s:.1f} Hz" if duration_s > 0 else "-"
+    gaps = gaps_s(channel.log_ns)
+    return (
+        channel.topic,
+        channel.type_name or "-",
+        str(channel.messages),
+        rate,
+        f"{duration_s:.2f} s",
+        f"{len(gaps)} to {gaps.max():.2f} s" if len(gaps) else "-",
+        "yes" if channel.skipped is None else f"no: {channel.skipped}",
+    )
+
+
+def _timeline(channels: Sequence[Channel]) -> list[str]:
+    """When each channel was heard: `#` as often as usual, `.` less, blank not at all."""
+    heard = [one for one in channels if one.messages > 1]
+    if not heard:
+        return []
+    start = min(float(one.log_ns.min()) for one in heard)
+    span = max(float(one.log_ns.max()) for one in heard) - start
+    if span <= 0:
+        return []
+    width = max(len(one.topic) for one in heard)
+    lines = [f"  timeline, {span * 1e-9 / _COLUMNS:.3g} s a column:"]
+    for one in heard:
+        places = (one.log_ns - start) / span * _COLUMNS
+        counts = np.bincount(np.minimum(places.astype(int), _COLUMNS - 1), minlength=_COLUMNS)
+        usual = float(np.median(counts[counts > 0]))
+        marks = ("#" if count >= usual / 2 else "." if count else " " for count in counts)
+        lines.append(f"  {one.topic.ljust(width)} |{''.join(marks)}|")
+    return lines

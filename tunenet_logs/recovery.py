@@ -1,0 +1,176 @@
+"""Saves what can be saved of a damaged log: a copy that opens in every reader."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from mcap.writer import Writer
+
+from tunenet_logs import __version__, messages
+from tunenet_logs.episode import Episode, EpisodeInfo
+from tunenet_logs.errors import LogError, UsageError
+from tunenet_logs.formats.base import (
+    Container,
+    Loss,
+    RawAttachment,
+    RawChannel,
+    RawMessage,
+    RawMetadata,
+)
+from tunenet_logs.formats.opening import opened
+from tunenet_logs.formats.ros import ros_name
+from tunenet_logs.messages import INFO_RECORD
+
+RECOVERY_RECORD = "tunenet/recovery"
+_PARTIAL = ".partial"
+_LAST_STAMP = 2**64
+_PROFILES = {"cdr": "ros2", "ros1": "ros1"}
+
+
+@dataclass(frozen=True)
+class Recovered:
+    """What came of it.
+
+    Attributes:
+        messages: how many were saved.
+        losses: what was not, in words.
+    """
+
+    messages: int
+    losses: tuple[str, ...]
+
+
+def recover(path: Path, output: Path, *, overwrite: bool = False) -> Recovered:
+    """Copy all whole messages of a log, as they are, into a new MCAP file with all checksums.
+
+    Raises:
+        UsageError: the output is the log itself, exists, or is no .mcap.
+        LogError: nothing of the log can be read, or the output cannot be written.
+    """
+    _check_output(path, output, overwrite=overwrite)
+    container = opened(path)
+    if isinstance(container, Episode):
+        raise LogError(
+            f"{path}: holds no messages to recover; bring it in with tunenet-logs import"
+        )
+    partial = output.with_name(output.name + _PARTIAL)
+    try:
+        with open(partial, "wb") as file:
+            copy = _Copy(Writer(file, enable_data_crcs=True), path.name)
+            recovered = copy.of(path, container)
+            file.flush()
+            os.fsync(file.fileno())
+        if not recovered.messages:
+            why = f" ({recovered.losses[0]})" if recovered.losses else ""
+            raise LogError(f"{path}: holds no message that can be saved{why}")
+        partial.replace(output)
+    except OSError as error:
+        place = error.filename or output
+        raise LogError(f"{place}: cannot be read or written ({error.strerror})") from error
+    finally:
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
+    return recovered
+
+
+def _check_output(path: Path, output: Path, *, overwrite: bool) -> None:
+    if output.suffix != ".mcap":
+        raise UsageError(f"{output}: name a .mcap file with -o")
+    if output.exists() and path.exists() and output.samefile(path):
+        raise UsageError(f"{output}: is the log itself, which is never changed; choose another -o")
+    if output.exists() and not overwrite:
+        raise UsageError(f"{output}: exists; choose another name with -o, or pass --overwrite")
+
+
+class _Copy:
+    """From the records of a container to a writer."""
+
+    def __init__(self, writer: Writer, source: str) -> None:
+        self._writer = writer
+        self._source = source
+        self._schemas: dict[tuple[str, str, bytes], int] = {}
+        self._channels: dict[RawChannel, int] = {}
+        self._info: Mapping[str, str] = {}
+        self._messages = 0
+        self._beyond = 0
+        self._started = False
+
+    def of(self, path: Path, container: Container) -> Recovered:
+        losses: list[Loss] = []
+        for record in container(path, losses):
+            if isinstance(record, RawChannel):
+                self._start(_PROFILES.get(record.encoding, ""))
+                self._register(record)
+            elif isinstance(record, RawMessage):
+                self._add(record)
+            elif isinstance(record, RawMetadata):
+                self._start("ros2" if record.name == INFO_RECORD else "")
+                self._writer.add_metadata(record.name, dict(record.values))
+                if record.name == INFO_RECORD:
+                    self._info = record.values
+            elif isinstance(record, RawAttachment):
+                self._start("")
+                self._writer.add_attachment(
+                    record.create_ns, record.log_ns, record.name, record.media_type, record.data
+                )
+        self._start("")
+        lost = [str(one) for one in losses if not one.harmless]
+        if self._beyond:
+            lost.append(f"{self._beyond} messages with impossible stamps were left out")
+        self._say(lost)
+        self._writer.finish()
+        return Recovered(self._messages, tuple(lost))
+
+    def _start(self, profile: str) -> None:
+        if not self._started:
+            self._writer.start(profile, f"tunenet-logs {__version__}")
+            self._started = True
+
+    def _register(self, channel: RawChannel) -> None:
+        text, encoding = channel.schema, channel.schema_encoding
+        if not encoding and channel.encoding == "cdr":  # a .db3 need not hold definitions
+            text, encoding = _known_definition(channel.type_name)
+        schema = 0
+        if channel.type_name:
+            key = (channel.type_name, encoding, text)
+            if key not in self._schemas:
+                self._schemas[key] = self._writer.register_schema(*key)
+            schema = self._schemas[key]
+        self._channels[channel] = self._writer.register_channel(
+            channel.topic, channel.encoding, schema, dict(channel.metadata)
+        )
+
+    def _add(self, message: RawMessage) -> None:
+        if not (0 <= message.log_ns < _LAST_STAMP and 0 <= message.publish_ns < _LAST_STAMP):
+            self._beyond += 1
+            return
+        self._writer.add_message(
+            self._channels[message.channel],
+            message.log_ns,
+            bytes(message.data),
+            message.publish_ns,
+            message.sequence,
+        )
+        self._messages += 1
+
+    def _say(self, lost: list[str]) -> None:
+        """What happened to the log; and its own counts, where its recorder never came to that."""
+        if self._info:
+            info = EpisodeInfo.from_strings(self._info)
+            if "written" not in info.counts:
+                info = info.ended("the recording did not end by itself", written=self._messages)
+                self._writer.add_metadata(INFO_RECORD, info.to_strings())
+        words = {"from": self._source, "messages": str(self._messages)}
+        words |= {f"lost.{number}": text for number, text in enumerate(lost[:100])}
+        self._writer.add_metadata(RECOVERY_RECORD, words)
+
+
+def _known_definition(type_name: str) -> tuple[bytes, str]:
+    name = ros_name(type_name)
+    if name not in messages.typestore().types:
+        return b"", ""
+    return messages.definition(name).encode(), "ros2msg"
