@@ -48,7 +48,7 @@ def test_comes_back_bit_for_bit(tmp_path: Path):
 
 def test_frames_keep_their_bytes_and_are_read_when_asked_for(tmp_path: Path):
     data = os.urandom(5000)
-    with EpisodeWriter(tmp_path / "a.mcap", INFO) as writer:
+    with EpisodeWriter(tmp_path / "a.mcap", INFO, live=False) as writer:
         for index in range(20):
             writer.write_frame("/camera/image_raw/compressed", Frame(index, "jpeg", data))
     frames = list(read_episode(tmp_path / "a.mcap").frames())
@@ -107,42 +107,6 @@ def test_does_not_touch_what_a_killed_recording_left(tmp_path: Path):
 def test_a_folder_that_cannot_be_written_to_is_one_clear_error(tmp_path: Path):
     with pytest.raises(LogError, match="cannot be written"):
         EpisodeWriter(tmp_path / "missing" / "a.mcap", INFO)
-
-
-@pytest.mark.parametrize("limit", [4000, 20_000, 60_000])
-def test_a_full_disk_keeps_what_was_written_before(tmp_path: Path, limit: int):
-    code = f"""
-import resource, signal, sys, numpy as np
-from pathlib import Path
-from typing import Any
-from tunenet_logs.episode import EpisodeInfo
-from tunenet_logs.errors import LogError
-from tunenet_logs.writer import EpisodeWriter
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))
-rng = np.random.default_rng(0)
-try:
-    with EpisodeWriter(Path("a.mcap"), EpisodeInfo(kind="drop")) as writer:
-        for index in range(100_000):
-            writer.write_pose("/ball/pose", index, rng.normal(size=3))
-except LogError as error:
-    print(error)
-    sys.exit(error.exit_code)
-"""
-    words = [sys.executable, "-c", code]
-    result = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=60)
-    assert result.returncode == 1, result.stderr
-    assert "a.mcap: writing failed" in result.stdout
-    assert result.stdout.count("\n") == 1
-    left = tmp_path / "a.mcap.active"
-    assert left.stat().st_size <= limit
-    episode = read_episode(left)
-    assert episode.info.kind == "drop"
-    if limit > 50_000:  # less holds no whole chunk
-        values = episode.signals["/ball/pose"].values
-        expected = np.random.default_rng(0).normal(size=values.shape)
-        assert len(values) > 100
-        assert np.array_equal(values, expected)
 
 
 RECORDER = """

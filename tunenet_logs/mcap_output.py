@@ -1,0 +1,279 @@
+"""MCAP, written so that it can be ended whole at any moment, even after a write that failed.
+
+The bytes are those of `mcap.writer.Writer` with the same options. That writer counts a message, a
+chunk or a channel when it is handed over, so its end speaks of what a full disk never took; here
+everything is counted when it has reached the file.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+
+from tunenet_logs.whole_file import WholeFile
+
+MAGIC = b"\x89MCAP0\r\n"
+_CHUNK_BYTES = 64 * 1024
+_MESSAGE = struct.Struct("<BQHIQQ")
+_MESSAGE_HEAD_BYTES = _MESSAGE.size - 9
+_INDEX = struct.Struct("<BQHI")
+
+
+class McapOutput:
+    """An MCAP file in the making: zstd chunks, CRCs of chunks and of the whole.
+
+    Args:
+        file: empty; closed by `close`.
+        profile: of the log, as in the MCAP registry.
+        library: what writes it.
+
+    Attributes:
+        message_count: messages in the file, those in the open chunk not counted.
+        is_ended: whether the log has its end.
+
+    Raises:
+        OSError: not even the beginning can be written.
+    """
+
+    def __init__(self, file: WholeFile, profile: str, library: str) -> None:
+        self.message_count = 0
+        self.is_ended = False
+        self._file = file
+        self._compressor = zstandard.ZstdCompressor()
+        self._schemas: list[Schema] = []
+        self._channels: list[Channel] = []
+        self._metadata_indexes: list[MetadataIndex] = []
+        self._chunk_indexes = bytearray()  # as bytes: hours of recording make many
+        self._chunk_count = 0
+        self._counts: dict[int, int] = {}
+        self._span_ns: tuple[int, int] | None = None
+        self._open_chunk()
+        file.append(MAGIC + _bytes_of(Header(profile, library)))
+
+    def _open_chunk(self) -> None:
+        self._new: list[Schema | Channel] = []
+        self._pieces: list[bytes] = []
+        self._offset = 0
+        self._entries: dict[int, list[int]] = {}
+
+    def add_schema(self, name: str, encoding: str, text: str) -> int:
+        """Announce a type of messages; its id."""
+        known = len(self._schemas) + sum(isinstance(one, Schema) for one in self._new)
+        schema = Schema(id=known + 1, name=name, encoding=encoding, data=text.encode())
+        self._announce(schema)
+        return schema.id
+
+    def add_channel(self, topic: str, encoding: str, schema_id: int) -> int:
+        """Announce a topic; its id."""
+        known = len(self._channels) + sum(isinstance(one, Channel) for one in self._new)
+        channel = Channel(
+            id=known + 1, topic=topic, message_encoding=encoding, metadata={}, schema_id=schema_id
+        )
+        self._announce(channel)
+        return channel.id
+
+    def add_message(
+        self, channel_id: int, sequence: int, log_ns: int, publish_ns: int, data: bytes
+    ) -> None:
+        """Add a message to the open chunk, and write that if it is full.
+
+        Raises:
+            OSError: the chunk does not fit; the file is as it was before it.
+        """
+        offset = self._offset
+        entries = self._entries.get(channel_id)
+        if entries is None:
+            entries = self._entries[channel_id] = []
+        entries += (log_ns, offset)
+        length = _MESSAGE_HEAD_BYTES + len(data)
+        self._pieces += (_MESSAGE.pack(5, length, channel_id, sequence, log_ns, publish_ns), data)
+        self._offset = offset = offset + 9 + length
+        if offset > _CHUNK_BYTES:
+            self.close_chunk()
+
+    def close_chunk(self) -> None:
+        """Write the open chunk, if it holds messages.
+
+        Raises:
+            OSError: it does not fit; the file is as it was before it, the chunk is lost.
+        """
+        if not self._entries:
+            return
+        entries, new, data = self._entries, self._new, b"".join(self._pieces)
+        self._open_chunk()
+        compressed = self._compressor.compress(data)
+        chunk = Chunk(
+            compression="zstd",
+            data=compressed,
+            message_start_time=min(min(one[::2]) for one in entries.values()),
+            message_end_time=max(max(one[::2]) for one in entries.values()),
+            uncompressed_crc=zlib.crc32(data),
+            uncompressed_size=len(data),
+        )
+        body = _bytes_of(chunk)
+        start = self._file.size_bytes
+        tail, offsets = _message_indexes(entries, start + len(body))
+        self._file.append(body + tail)
+        index = ChunkIndex(
+            message_start_time=chunk.message_start_time,
+            message_end_time=chunk.message_end_time,
+            chunk_start_offset=start,
+            chunk_length=len(body),
+            message_index_offsets=offsets,
+            message_index_length=len(tail),
+            compression=chunk.compression,
+            compressed_size=len(compressed),
+            uncompressed_size=len(data),
+        )
+        self._chunk_indexes += _bytes_of(index)
+        self._note_chunk(chunk, {one: len(pairs) // 2 for one, pairs in entries.items()}, new)
+
+    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Write a metadata record at once.
+
+        Raises:
+            OSError: it does not fit; the file is as it was before it.
+        """
+        record, index = self._metadata(name, values)
+        self._file.append(record)
+        self._metadata_indexes.append(index)
+
+    def end(self, name: str, values: Mapping[str, str]) -> None:
+        """Write a last metadata record and the end of the log. The open chunk is left out.
+
+        Raises:
+            OSError: it does not fit; the file is as it was before it.
+        """
+        record, index = self._metadata(name, values)
+        self._file.append(record + self._ending(record, (index,), chunk_indexes=True))
+        self.is_ended = True
+
+    def end_as_fits(self, name: str, values: Mapping[str, str]) -> bool:
+        """The same on a disk that is full, with as much of it as fits; False if nothing does.
+
+        What is given up, in this order: the index of the chunks, so that readers go through the
+        log from its beginning; the rest of the summary; the metadata record.
+        """
+        record, index = self._metadata(name, values)
+        endings: list[Callable[[], bytes]] = [
+            lambda: record + self._ending(record, (index,), chunk_indexes=True),
+            lambda: record + self._ending(record, (index,), chunk_indexes=False),
+            lambda: record + _bare_ending(zlib.crc32(record, self._file.crc32)),
+            lambda: _bare_ending(self._file.crc32),
+        ]
+        for ending in endings:
+            with suppress(OSError):
+                self._file.append(ending())
+                self.is_ended = True
+                break
+        return self.is_ended
+
+    def _announce(self, record: Schema | Channel) -> None:
+        self._new.append(record)
+        piece = _bytes_of(record)
+        self._pieces.append(piece)
+        self._offset += len(piece)
+
+    def _note_chunk(
+        self, chunk: Chunk, counts: Mapping[int, int], new: list[Schema | Channel]
+    ) -> None:
+        """Count what has reached the file."""
+        self._chunk_count += 1
+        for record in new:
+            if isinstance(record, Schema):
+                self._schemas.append(record)
+            else:
+                self._channels.append(record)
+        for channel_id, count in counts.items():
+            self._counts[channel_id] = self._counts.get(channel_id, 0) + count
+            self.message_count += count
+        first, last = self._span_ns or (chunk.message_start_time, chunk.message_end_time)
+        self._span_ns = min(first, chunk.message_start_time), max(last, chunk.message_end_time)
+
+    def _metadata(self, name: str, values: Mapping[str, str]) -> tuple[bytes, MetadataIndex]:
+        record = _bytes_of(Metadata(name=name, metadata=dict(values)))
+        return record, MetadataIndex(self._file.size_bytes, len(record), name)
+
+    def _ending(
+        self, before: bytes, added: tuple[MetadataIndex, ...], *, chunk_indexes: bool
+    ) -> bytes:
+        """Data end, summary and footer, to follow `before` at the end of the file."""
+        data_end = _bytes_of(DataEnd(zlib.crc32(before, self._file.crc32)))
+        start = self._file.size_bytes + len(before) + len(data_end)
+        groups = dict(self._groups(added))
+        if not chunk_indexes:
+            groups[Opcode.CHUNK_INDEX] = b""
+        summary, offsets = bytearray(), bytearray()
+        for opcode, group in groups.items():
+            offsets += _bytes_of(SummaryOffset(opcode, start + len(summary), len(group)))
+            summary += group
+        offset_start = start + len(summary)
+        summary += offsets
+        head = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offset_start)
+        crc32 = zlib.crc32(head, zlib.crc32(summary))
+        return data_end + bytes(summary) + _bytes_of(Footer(start, offset_start, crc32)) + MAGIC
+
+    def _groups(self, added: tuple[MetadataIndex, ...]) -> Iterator[tuple[Opcode, bytes]]:
+        """The summary's records in its order."""
+        metadata_indexes = [*self._metadata_indexes, *added]
+        first_ns, last_ns = self._span_ns or (0, 0)
+        statistics = Statistics(
+            attachment_count=0,
+            channel_count=len(self._channels),
+            channel_message_counts=self._counts,
+            chunk_count=self._chunk_count,
+            message_count=self.message_count,
+            metadata_count=len(metadata_indexes),
+            message_start_time=first_ns,
+            message_end_time=last_ns,
+            schema_count=len(self._schemas),
+        )
+        yield Opcode.SCHEMA, b"".join(map(_bytes_of, self._schemas))
+        yield Opcode.CHANNEL, b"".join(map(_bytes_of, self._channels))
+        yield Opcode.STATISTICS, _bytes_of(statistics)
+        yield Opcode.CHUNK_INDEX, bytes(self._chunk_indexes)
+        yield Opcode.ATTACHMENT_INDEX, b""
+        yield Opcode.METADATA_INDEX, b"".join(map(_bytes_of, metadata_indexes))
+
+
+def _bare_ending(data_crc32: int) -> bytes:
+    return _bytes_of(DataEnd(data_crc32)) + _bytes_of(Footer(0, 0, 0)) + MAGIC
+
+
+def _message_indexes(entries: Mapping[int, list[int]], at: int) -> tuple[bytes, dict[int, int]]:
+    """The index records of a chunk, which begin at the offset `at`; where each channel's is."""
+    pieces: list[bytes] = []
+    offsets: dict[int, int] = {}
+    for channel_id, pairs in entries.items():
+        offsets[channel_id] = at
+        size = 8 * len(pairs)
+        piece = _INDEX.pack(7, 6 + size, channel_id, size) + struct.pack(f"<{len(pairs)}Q", *pairs)
+        pieces.append(piece)
+        at += len(piece)
+    return b"".join(pieces), offsets
+
+
+def _bytes_of(record: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)
+    return builder.end()
