@@ -268,9 +268,9 @@ class EpisodeWriter:
     def _break_off(self, error: OSError) -> NoReturn:
         if self._file.is_closed:
             raise LogError(f"{self.path}: the recording is over") from error
-        remedy = "free some space" if error.errno in _NO_SPACE else "record to another disk"
-        why = f"writing failed ({error.strerror})"
-        self._end_early(why, f"{remedy} and record again", error)
+        is_full = error.errno in _NO_SPACE
+        remedy = "free some space and record again" if is_full else "record to another disk"
+        self._end_early(f"writing failed ({error.strerror})", remedy, error)
 
     def _end_early(self, why: str, remedy: str, cause: OSError | None = None) -> NoReturn:
         """End the log with what is in it, and say what is kept and where."""

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import io
 import os
+import zlib
 from pathlib import Path
 
 import pytest
-from mcap.reader import make_reader
+from mcap.reader import NonSeekingReader, make_reader
 from mcap.writer import CompressionType, Writer
 
+from tests.conftest import files_no_larger_than
 from tunenet_logs.mcap_output import McapOutput
 from tunenet_logs.whole_file import WholeFile
 
@@ -69,17 +71,56 @@ def test_a_log_without_messages_is_one_too(tmp_path: Path):
 
 
 def test_what_is_given_up_of_the_end_as_room_gets_short(tmp_path: Path):
-    """Every log reads to its last message, however little of its end fits."""
-    from tests.tunenet_logs.limited_file import LimitedFile
-
+    """Every log that has an end reads to its last message, however little of it fits."""
     by_us(tmp_path / "whole.mcap", flushes=True)
     whole = (tmp_path / "whole.mcap").stat().st_size
     by_us(tmp_path / "open.mcap", flushes=True, ends=False)
     endless = (tmp_path / "open.mcap").stat().st_size
-    kinds: list[tuple[bool, bool, bool]] = []
-    assert LimitedFile
-    for room in range(whole - endless, 0, -1):
-        path = tmp_path / "a.mcap"
-        output = by_us(path, flushes=True, ends=False)
-        kinds.append(output.end_as_fits("last", {"b": "2", "é": "ü"}) and (True, True, True))
-        break
+    forms: list[tuple[bool, ...]] = []
+    for limit in range(whole, endless - 1, -9):
+        output = by_us(tmp_path / "a.mcap", flushes=True, ends=False)
+        with files_no_larger_than(limit):
+            is_ended = output.end_as_fits("last", {"b": "2", "é": "ü"})
+        if not is_ended:
+            assert (tmp_path / "a.mcap").stat().st_size == endless
+            forms.append((False,))
+            continue
+        with (tmp_path / "a.mcap").open("rb") as file:
+            reader = make_reader(file, validate_crcs=True)
+            assert len(list(reader.iter_messages())) == len(MESSAGES)
+            summary = reader.get_summary()
+            names = [one.name for one in reader.iter_metadata()]
+            file.seek(0)
+            streamed = NonSeekingReader(file, validate_crcs=True)
+            assert len(list(streamed.iter_messages(log_time_order=False))) == len(MESSAGES)
+        if summary is not None:
+            assert summary.statistics is not None
+            assert summary.statistics.message_count == len(MESSAGES)
+        has_chunks = summary is not None and bool(summary.chunk_indexes)
+        forms.append((True, has_chunks, summary is not None, "last" in names))
+    assert list(dict.fromkeys(forms)) == [
+        (True, True, True, True),
+        (True, False, True, True),
+        (True, False, False, True),
+        (True, False, False, False),
+        (False,),
+    ]
+
+
+@pytest.mark.parametrize("step", [1, 50, 997])
+def test_a_piece_that_does_not_fit_leaves_no_trace(tmp_path: Path, step: int):
+    file = WholeFile(tmp_path / "a")
+    pieces = [os.urandom(one * step % 300 + 1) for one in range(60)]
+    taken = b""
+    with files_no_larger_than(4000):
+        for piece in pieces:
+            try:
+                file.append(piece)
+            except OSError:
+                assert len(taken) + len(piece) > 4000
+            else:
+                taken += piece
+            assert (tmp_path / "a").read_bytes() == taken
+            assert (file.size_bytes, file.crc32) == (len(taken), zlib.crc32(taken))
+    file.append(b"more")
+    assert (tmp_path / "a").read_bytes() == taken + b"more"
