@@ -130,15 +130,18 @@ class McapOutput:
             uncompressed_crc=zlib.crc32(data),
             uncompressed_size=len(data),
         )
-        body = _bytes_of(chunk)
         start = self._file.size_bytes
-        tail, offsets = _message_indexes(entries, start + len(body))
-        self._file.append(body + tail)
+        builder = RecordBuilder()
+        chunk.write(builder)
+        length = builder.count
+        tail, offsets = _message_indexes(entries, start + length)
+        builder.write(tail)
+        self._file.append(builder.end())
         index = ChunkIndex(
             message_start_time=chunk.message_start_time,
             message_end_time=chunk.message_end_time,
             chunk_start_offset=start,
-            chunk_length=len(body),
+            chunk_length=length,
             message_index_offsets=offsets,
             message_index_length=len(tail),
             compression=chunk.compression,

@@ -62,6 +62,8 @@ class EpisodeWriter:
         live: bool = True,
         min_free_bytes: int = 0,
     ) -> None:
+        if path.is_dir():
+            raise LogError(f"{path}: is a directory; name a file to write")
         self.path = path
         self.info = info
         self.active_path = path.with_name(path.name + ACTIVE_SUFFIX)
@@ -72,7 +74,7 @@ class EpisodeWriter:
         self._min_free_bytes = min_free_bytes
         self._channels: dict[str, _Channel] = {}
         self._schemas: dict[str, int] = {}
-        self._refuse(overwrite=overwrite)
+        self._refuse()
         now = time.monotonic()
         self._chunk_at, self._sync_at = now + _CHUNK_SECONDS, now + _SYNC_SECONDS
         self._due_at = self._chunk_at if live else self._sync_at
@@ -210,14 +212,12 @@ class EpisodeWriter:
     ) -> None:
         self.close("" if kind is None else f"broke off ({kind.__name__})")
 
-    def _refuse(self, *, overwrite: bool) -> None:
+    def _refuse(self) -> None:
         """Raise LogError where no recording should start."""
         path, active = self.path, self.active_path
-        if path.is_dir():
-            raise LogError(f"{path}: is a directory; name a file to write")
-        if path.exists() and not overwrite:
+        if path.exists() and not self._overwrite:
             raise LogError(f"{path}: exists; choose another name with -o, or pass --overwrite")
-        if active.exists() and not overwrite:
+        if active.exists() and not self._overwrite:
             raise LogError(
                 f"{active}: is left from a recording that did not end; "
                 "move it away, or pass --overwrite"
