@@ -17,9 +17,6 @@ from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.errors import LogError
 from tunenet_logs.writer import EpisodeWriter
 
-PAUSE_SECONDS = 0.03
-"""How long messages may gather before they are written in one go."""
-
 _Encoded = tuple[str, bytes]  # type name, CDR
 
 
@@ -194,7 +191,7 @@ class LiveRecording:
             item = queue.take()
             if item is None:
                 writer.tick()
-                queue.pause(PAUSE_SECONDS)
+                queue.pause()
             else:
                 type_name, data = item.payload
                 writer.write_message(item.topic, type_name, item.stamp_ns, data, item.received_ns)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import zlib
 from contextlib import suppress
@@ -28,6 +29,7 @@ class WholeFile:
     def __init__(self, path: Path) -> None:
         self.size_bytes = 0
         self.crc32 = 0
+        self._is_torn = False
         self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
 
     def append(self, piece: bytes) -> None:
@@ -36,6 +38,8 @@ class WholeFile:
         Raises:
             OSError: it did not fit, or the disk failed.
         """
+        if self._is_torn:
+            raise OSError(errno.EIO, "cannot be cut back after a write that failed")
         rest = memoryview(piece)
         try:
             while rest:
@@ -71,9 +75,11 @@ class WholeFile:
         return self._descriptor < 0
 
     def _cut_back(self) -> None:
-        with suppress(OSError):  # then the piece's beginning stays; readers stop before it
+        self._is_torn = True  # what follows half a piece could not be read
+        with suppress(OSError):
             os.ftruncate(self._descriptor, self.size_bytes)
             os.lseek(self._descriptor, self.size_bytes, os.SEEK_SET)
+            self._is_torn = False
 
 
 def free_bytes(place: Path | int) -> int:

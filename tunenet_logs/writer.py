@@ -199,7 +199,10 @@ class EpisodeWriter:
             self._break_off(error)
         self._file.close()
         if not self._give_name(replacing=self._overwrite):
-            raise LogError(f"{self.path}: exists by now; the log is whole in {self.active_path}")
+            raise LogError(
+                f"{self.path}: exists by now, or cannot be written; the log is whole in "
+                f"{self.active_path.name}"
+            )
 
     def __enter__(self) -> Self:
         return self

@@ -25,9 +25,6 @@ if TYPE_CHECKING:
     from recorders.camera.preview import Preview
 
 TOPIC = "/camera/image_raw/compressed"
-_PAUSE_SECONDS = 0.03
-"""How long frames may gather, and how often a wait for them looks up: for a signal, a camera that
-fell silent, what the writer has to do by the clock."""
 
 
 @dataclass(frozen=True)
@@ -211,7 +208,7 @@ def _write_frames(
             ended = f"no frame for {stall_s:.1f} s"
             queue.close()
         writer.tick()
-        queue.pause(_PAUSE_SECONDS)
+        queue.pause()
     failure = "" if reader.error is None else str(reader.error)
     return ended or source.ended or failure
 

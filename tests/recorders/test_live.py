@@ -162,7 +162,7 @@ def test_a_queue_that_must_not_drop_makes_the_source_wait():
     while not queue.is_done:
         item = queue.take()
         if item is None:
-            queue.pause(0.001)
+            queue.pause()
         else:
             seen.append(item.payload)
     thread.join()
