@@ -9,30 +9,24 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 
 import zstandard
 from mcap.data_stream import RecordBuilder
-from mcap.opcode import Opcode
 from mcap.records import (
     Channel,
     Chunk,
     ChunkIndex,
-    DataEnd,
-    Footer,
     Header,
-    McapRecord,
     Metadata,
     MetadataIndex,
     Schema,
-    Statistics,
-    SummaryOffset,
 )
 
+from tunenet_logs.mcap_summary import MAGIC, McapSummary, bare_ending, bytes_of
 from tunenet_logs.whole_file import WholeFile
 
-MAGIC = b"\x89MCAP0\r\n"
 _CHUNK_BYTES = 64 * 1024
 _MESSAGE = struct.Struct("<BQHIQQ")
 _MESSAGE_HEAD_BYTES = _MESSAGE.size - 9
@@ -48,7 +42,6 @@ class McapOutput:
         library: what writes it.
 
     Attributes:
-        message_count: messages in the file, those in the open chunk not counted.
         is_ended: whether the log has its end.
 
     Raises:
@@ -56,19 +49,12 @@ class McapOutput:
     """
 
     def __init__(self, file: WholeFile, profile: str, library: str) -> None:
-        self.message_count = 0
         self.is_ended = False
         self._file = file
         self._compressor = zstandard.ZstdCompressor()
-        self._schemas: list[Schema] = []
-        self._channels: list[Channel] = []
-        self._metadata_indexes: list[MetadataIndex] = []
-        self._chunk_indexes = bytearray()  # as bytes: hours of recording make many
-        self._chunk_count = 0
-        self._counts: dict[int, int] = {}
-        self._span_ns: tuple[int, int] | None = None
+        self._summary = McapSummary()
         self._open_chunk()
-        file.append(MAGIC + _bytes_of(Header(profile, library)))
+        file.append(MAGIC + bytes_of(Header(profile, library)))
 
     def _open_chunk(self) -> None:
         self._new: list[Schema | Channel] = []
@@ -78,14 +64,14 @@ class McapOutput:
 
     def add_schema(self, name: str, encoding: str, text: str) -> int:
         """Announce a type of messages; its id."""
-        known = len(self._schemas) + sum(isinstance(one, Schema) for one in self._new)
+        known = len(self._summary.schemas) + sum(isinstance(one, Schema) for one in self._new)
         schema = Schema(id=known + 1, name=name, encoding=encoding, data=text.encode())
         self._announce(schema)
         return schema.id
 
     def add_channel(self, topic: str, encoding: str, schema_id: int) -> int:
         """Announce a topic; its id."""
-        known = len(self._channels) + sum(isinstance(one, Channel) for one in self._new)
+        known = len(self._summary.channels) + sum(isinstance(one, Channel) for one in self._new)
         channel = Channel(
             id=known + 1, topic=topic, message_encoding=encoding, metadata={}, schema_id=schema_id
         )
@@ -148,8 +134,8 @@ class McapOutput:
             compressed_size=len(compressed),
             uncompressed_size=len(data),
         )
-        self._chunk_indexes += _bytes_of(index)
-        self._note_chunk(chunk, {one: len(pairs) // 2 for one, pairs in entries.items()}, new)
+        counts = {one: len(pairs) // 2 for one, pairs in entries.items()}
+        self._summary.add_chunk(index, counts, new)
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Write a metadata record at once.
@@ -159,7 +145,7 @@ class McapOutput:
         """
         record, index = self._metadata(name, values)
         self._file.append(record)
-        self._metadata_indexes.append(index)
+        self._summary.add_metadata(index)
 
     def end(self, name: str, values: Mapping[str, str]) -> None:
         """Write a last metadata record and the end of the log. The open chunk is left out.
@@ -168,7 +154,8 @@ class McapOutput:
             OSError: it does not fit; the file is as it was before it.
         """
         record, index = self._metadata(name, values)
-        self._file.append(record + self._ending(record, (index,), chunk_indexes=True))
+        at, crc32 = self._after(record)
+        self._file.append(record + self._summary.ending(at, crc32, index))
         self.is_ended = True
 
     def end_as_fits(self, name: str, values: Mapping[str, str]) -> bool:
@@ -178,89 +165,38 @@ class McapOutput:
         log from its beginning; the rest of the summary; the metadata record.
         """
         record, index = self._metadata(name, values)
-        endings: list[Callable[[], bytes]] = [
-            lambda: record + self._ending(record, (index,), chunk_indexes=True),
-            lambda: record + self._ending(record, (index,), chunk_indexes=False),
-            lambda: record + _bare_ending(zlib.crc32(record, self._file.crc32)),
-            lambda: _bare_ending(self._file.crc32),
-        ]
-        for ending in endings:
+        at, crc32 = self._after(record)
+        ending = self._summary.ending
+        for piece in (
+            record + ending(at, crc32, index),
+            record + ending(at, crc32, index, has_chunk_index=False),
+            record + bare_ending(crc32),
+            bare_ending(self._file.crc32),
+        ):
             with suppress(OSError):
-                self._file.append(ending())
+                self._file.append(piece)
                 self.is_ended = True
                 break
         return self.is_ended
 
+    @property
+    def message_count(self) -> int:
+        """Messages in the file, those in the open chunk not counted."""
+        return self._summary.message_count
+
     def _announce(self, record: Schema | Channel) -> None:
         self._new.append(record)
-        piece = _bytes_of(record)
+        piece = bytes_of(record)
         self._pieces.append(piece)
         self._offset += len(piece)
 
-    def _note_chunk(
-        self, chunk: Chunk, counts: Mapping[int, int], new: list[Schema | Channel]
-    ) -> None:
-        """Count what has reached the file."""
-        self._chunk_count += 1
-        for record in new:
-            if isinstance(record, Schema):
-                self._schemas.append(record)
-            else:
-                self._channels.append(record)
-        for channel_id, count in counts.items():
-            self._counts[channel_id] = self._counts.get(channel_id, 0) + count
-            self.message_count += count
-        first, last = self._span_ns or (chunk.message_start_time, chunk.message_end_time)
-        self._span_ns = min(first, chunk.message_start_time), max(last, chunk.message_end_time)
-
     def _metadata(self, name: str, values: Mapping[str, str]) -> tuple[bytes, MetadataIndex]:
-        record = _bytes_of(Metadata(name=name, metadata=dict(values)))
+        record = bytes_of(Metadata(name=name, metadata=dict(values)))
         return record, MetadataIndex(self._file.size_bytes, len(record), name)
 
-    def _ending(
-        self, before: bytes, added: tuple[MetadataIndex, ...], *, chunk_indexes: bool
-    ) -> bytes:
-        """Data end, summary and footer, to follow `before` at the end of the file."""
-        data_end = _bytes_of(DataEnd(zlib.crc32(before, self._file.crc32)))
-        start = self._file.size_bytes + len(before) + len(data_end)
-        groups = dict(self._groups(added))
-        if not chunk_indexes:
-            groups[Opcode.CHUNK_INDEX] = b""
-        summary, offsets = bytearray(), bytearray()
-        for opcode, group in groups.items():
-            offsets += _bytes_of(SummaryOffset(opcode, start + len(summary), len(group)))
-            summary += group
-        offset_start = start + len(summary)
-        summary += offsets
-        head = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offset_start)
-        crc32 = zlib.crc32(head, zlib.crc32(summary))
-        return data_end + bytes(summary) + _bytes_of(Footer(start, offset_start, crc32)) + MAGIC
-
-    def _groups(self, added: tuple[MetadataIndex, ...]) -> Iterator[tuple[Opcode, bytes]]:
-        """The summary's records in its order."""
-        metadata_indexes = [*self._metadata_indexes, *added]
-        first_ns, last_ns = self._span_ns or (0, 0)
-        statistics = Statistics(
-            attachment_count=0,
-            channel_count=len(self._channels),
-            channel_message_counts=self._counts,
-            chunk_count=self._chunk_count,
-            message_count=self.message_count,
-            metadata_count=len(metadata_indexes),
-            message_start_time=first_ns,
-            message_end_time=last_ns,
-            schema_count=len(self._schemas),
-        )
-        yield Opcode.SCHEMA, b"".join(map(_bytes_of, self._schemas))
-        yield Opcode.CHANNEL, b"".join(map(_bytes_of, self._channels))
-        yield Opcode.STATISTICS, _bytes_of(statistics)
-        yield Opcode.CHUNK_INDEX, bytes(self._chunk_indexes)
-        yield Opcode.ATTACHMENT_INDEX, b""
-        yield Opcode.METADATA_INDEX, b"".join(map(_bytes_of, metadata_indexes))
-
-
-def _bare_ending(data_crc32: int) -> bytes:
-    return _bytes_of(DataEnd(data_crc32)) + _bytes_of(Footer(0, 0, 0)) + MAGIC
+    def _after(self, piece: bytes) -> tuple[int, int]:
+        """Size and CRC of the file when `piece` will have been added."""
+        return self._file.size_bytes + len(piece), zlib.crc32(piece, self._file.crc32)
 
 
 def _message_indexes(entries: Mapping[int, list[int]], at: int) -> tuple[bytes, dict[int, int]]:
@@ -274,9 +210,3 @@ def _message_indexes(entries: Mapping[int, list[int]], at: int) -> tuple[bytes, 
         pieces.append(piece)
         at += len(piece)
     return b"".join(pieces), offsets
-
-
-def _bytes_of(record: McapRecord) -> bytes:
-    builder = RecordBuilder()
-    record.write(builder)
-    return builder.end()

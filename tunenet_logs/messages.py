@@ -25,6 +25,9 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 CAMERA_TOPIC = "/camera/image_raw/compressed"
 """Where a camera's frames go in our own logs."""
 
+INFO_RECORD = "tunenet/episode"
+"""The metadata record of a log that holds its EpisodeInfo."""
+
 _PARSERS = {"ros2msg": get_types_from_msg, "ros2idl": get_types_from_idl}
 
 

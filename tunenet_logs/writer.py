@@ -17,11 +17,11 @@ from tunenet_logs import __version__, messages
 from tunenet_logs.clock import now_ns
 from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.errors import LogError
+from tunenet_logs.log_place import LogPlace
 from tunenet_logs.mcap_output import McapOutput
-from tunenet_logs.whole_file import WholeFile, free_bytes
+from tunenet_logs.messages import INFO_RECORD
+from tunenet_logs.whole_file import WholeFile
 
-ACTIVE_SUFFIX = ".active"
-INFO_RECORD = "tunenet/episode"
 _CHUNK_SECONDS = 0.1
 _SYNC_SECONDS = 1.0
 _NO_SPACE = (errno.ENOSPC, errno.EDQUOT)
@@ -62,19 +62,15 @@ class EpisodeWriter:
         live: bool = True,
         min_free_bytes: int = 0,
     ) -> None:
-        if path.is_dir():
-            raise LogError(f"{path}: is a directory; name a file to write")
+        self._place = LogPlace(path, overwrite=overwrite, min_free_bytes=min_free_bytes)
         self.path = path
+        self.active_path = self._place.active_path
         self.info = info
-        self.active_path = path.with_name(path.name + ACTIVE_SUFFIX)
         self.accepted = 0
         self.tally: Callable[[], Mapping[str, int]] = dict
-        self._overwrite = overwrite
         self._live = live
-        self._min_free_bytes = min_free_bytes
         self._channels: dict[str, _Channel] = {}
         self._schemas: dict[str, int] = {}
-        self._refuse()
         now = time.monotonic()
         self._chunk_at, self._sync_at = now + _CHUNK_SECONDS, now + _SYNC_SECONDS
         self._due_at = self._chunk_at if live else self._sync_at
@@ -198,7 +194,7 @@ class EpisodeWriter:
         except OSError as error:
             self._break_off(error)
         self._file.close()
-        if not self._give_name(replacing=self._overwrite):
+        if not self._place.give_name(is_cut=False):
             raise LogError(
                 f"{self.path}: exists by now, or cannot be written; the log is whole in "
                 f"{self.active_path.name}"
@@ -214,23 +210,6 @@ class EpisodeWriter:
         trace: TracebackType | None,
     ) -> None:
         self.close("" if kind is None else f"broke off ({kind.__name__})")
-
-    def _refuse(self) -> None:
-        """Raise LogError where no recording should start."""
-        path, active = self.path, self.active_path
-        if path.exists() and not self._overwrite:
-            raise LogError(f"{path}: exists; choose another name with -o, or pass --overwrite")
-        if active.exists() and not self._overwrite:
-            raise LogError(
-                f"{active}: is left from a recording that did not end; "
-                "move it away, or pass --overwrite"
-            )
-        try:
-            free = free_bytes(path.parent)
-        except OSError as error:
-            raise LogError(f"{active}: cannot be written ({error.strerror})") from error
-        if free < self._min_free_bytes:
-            raise LogError(f"{path}: not recorded, {self._too_full(free)}; {_remedy()}")
 
     def _register(self, topic: str, type_name: str) -> _Channel:
         if topic in self._channels:
@@ -255,18 +234,9 @@ class EpisodeWriter:
         return info.to_strings()
 
     def _spare_the_disk(self) -> None:
-        if not self._min_free_bytes:
-            return
-        free = self._file.free_bytes()
-        if free < self._min_free_bytes:
+        if why := self._place.why_too_full(self._file.free_bytes()):
             self._output.close_chunk()
-            self._end_early(f"stopped, {self._too_full(free)}", _remedy())
-
-    def _too_full(self, free: int) -> str:
-        return (
-            f"the disk has {free / 1e6:.0f} MB left and "
-            f"{self._min_free_bytes / 1e6:g} MB are to stay free"
-        )
+            self._end_early(f"stopped, {why}", "free some space, or lower --min-free")
 
     def _break_off(self, error: OSError) -> NoReturn:
         if self._file.is_closed:
@@ -281,22 +251,12 @@ class EpisodeWriter:
             INFO_RECORD, self._final_info(why)
         )
         self._file.close()
-        is_named = is_whole and self._give_name(replacing=False)
+        is_named = is_whole and self._place.give_name(is_cut=True)
         place = self.path.name if is_named else self.active_path.name
         raise LogError(
             f"{self.path}: {why}; {self.written} of {self.info.counts['captured']} messages are "
             f"kept in {place}; {remedy}"
         ) from cause
-
-    def _give_name(self, *, replacing: bool) -> bool:
-        """Rename the file to the log's name; False where that is not possible."""
-        if self.path.exists() and not replacing:
-            return False
-        try:
-            self.active_path.replace(self.path)
-        except OSError:
-            return False
-        return True
 
 
 class _Channel:
@@ -308,7 +268,3 @@ class _Channel:
         self.id = number
         self.type_name = type_name
         self.sequence = 0
-
-
-def _remedy() -> str:
-    return "free some space, or lower --min-free"

@@ -1,7 +1,7 @@
 """A camera at 60 Hz and an arm at 1 kHz, recorded in a process that may be ended at any moment.
 
-`python -m tests.recorders.live_recorder FOLDER` records FOLDER/a.mcap until a signal ends it, and
-keeps in FOLDER/progress how many messages of each stream it has put, and when the last one was.
+`python -m tests.recorders.live_recorder FOLDER TOPIC...` records FOLDER/a.mcap until a signal ends
+it, and keeps in FOLDER/progress how many messages of each stream it has put, and when the last one was.
 What a message holds follows from its number alone.
 """
 
@@ -12,9 +12,11 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from mcap.reader import NonSeekingReader, make_reader
@@ -99,7 +101,7 @@ def main() -> int:
         ):
             threads = [
                 threading.Thread(target=put, args=(recording, topic, progress))
-                for topic in RATES_HZ
+                for topic in sys.argv[2:]
             ]
             for thread in threads:
                 thread.start()
@@ -114,10 +116,10 @@ def main() -> int:
     return 0
 
 
-def started(folder: Path) -> subprocess.Popen[str]:
+def started(folder: Path, topics: Iterable[str] = RATES_HZ) -> subprocess.Popen[str]:
     """The recorder in a process of its own, once it records."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "tests.recorders.live_recorder", str(folder)],
+        [sys.executable, "-m", "tests.recorders.live_recorder", str(folder), *topics],
         cwd=ROOT, stdout=subprocess.PIPE, text=True,
     )  # fmt: skip
     assert process.stdout is not None
@@ -167,10 +169,10 @@ def found_in(log: Path) -> dict[str, Found]:
 
 def _judge(record: Message, type_name: str, number: int) -> tuple[int, bool]:
     try:
-        message = messages.decode(record.data, type_name)
+        message: Any = messages.typestore().deserialize_cdr(record.data, type_name)
     except SerdeError:
         return 0, False
-    stamp_ns = messages.stamp_ns(message)
+    stamp_ns = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
     if type_name == messages.COMPRESSED_IMAGE:
         is_right = message.data.tobytes() == frame_of(number)
     else:
