@@ -1,8 +1,8 @@
 """A camera at 60 Hz and an arm at 1 kHz, recorded in a process that may be ended at any moment.
 
 `python -m tests.recorders.live_recorder FOLDER TOPIC...` records FOLDER/a.mcap until a signal ends
-it, and keeps in FOLDER/progress how many messages of each stream it has put, and when the last one was.
-What a message holds follows from its number alone.
+it. In FOLDER/progress it keeps how many messages of each stream it has put, and when the last one
+was. What a message holds follows from its number alone.
 """
 
 from __future__ import annotations
