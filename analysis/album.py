@@ -7,10 +7,10 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from analysis.observe.part import check_start
-from recorders.camera.jpeg import from_bgr, is_whole
 from tunenet_logs.episode import Episode, Frame
 from tunenet_logs.errors import LogError, UsageError
 from tunenet_logs.images import image_size
+from tunenet_logs.jpeg import from_bgr, is_whole
 from tunenet_logs.progress import Bar, Progress
 
 MOST_BYTES = 64 * 1024 * 1024

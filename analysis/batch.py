@@ -17,8 +17,8 @@ from analysis.report import Row, row_of, to_json
 from analysis.review import write_review
 from analysis.tuning import Options, Tuning, tune_log
 from tunenet_logs.errors import LogError, UsageError, WeightsError
+from tunenet_logs.log_place import ACTIVE_SUFFIX
 from tunenet_logs.progress import Progress
-from tunenet_logs.writer import ACTIVE_SUFFIX
 
 _PARTIAL = ".partial"
 

@@ -11,6 +11,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from mcap.writer import Writer
@@ -54,7 +55,7 @@ def theirs(path: Path) -> np.ndarray:
     stamps, rows = [], []
     with AnyReader([path]) as reader:
         for connection, _, raw in reader.messages():
-            message = reader.deserialize(raw, connection.msgtype)
+            message: Any = reader.deserialize(raw, connection.msgtype)
             stamp = message.header.stamp
             stamps.append(stamp.sec * 10**9 + stamp.nanosec)
             rows.append((message.position, message.velocity, message.effort))

@@ -80,6 +80,13 @@ def _shared_options(group: argparse._ArgumentGroup) -> None:
         metavar="WxH",
         help="of the picture [px], of a plugged-in camera or a rendered one (there: 320x240)",
     )
+    add(
+        "--min-free",
+        type=number(0, 1e9, "MB"),
+        default=100.0,
+        metavar="MB",
+        help="end, with a whole log, before the disk has less left [MB] (default: 100; 0: never)",
+    )
     add("--overwrite", action="store_true", help="replace an existing log")
     add("--quiet", action="store_true", help="no progress bar")
 

@@ -145,7 +145,13 @@ def record_drop_as_asked(arguments: argparse.Namespace, path: Path) -> str:
         _refuse_film_options(arguments)
         episode = simulate_drop(order)
     progress = Progress(quiet=arguments.quiet)
-    summary = record_episode(episode, path, overwrite=arguments.overwrite, progress=progress)
+    summary = record_episode(
+        episode,
+        path,
+        overwrite=arguments.overwrite,
+        progress=progress,
+        min_free_bytes=round(arguments.min_free * 1e6),
+    )
     truth, rig = episode.info.truth, episode.info.rig
     return (
         f"restitution {truth['restitution']:.4f}, drop height {rig['drop_height_m']:.3f} m; "

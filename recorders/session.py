@@ -59,33 +59,35 @@ def stop_flag() -> Iterator[threading.Event]:
             signal.signal(number, handler)
 
 
-def record_episode(episode: Episode, path: Path, *, overwrite: bool, progress: Progress) -> Summary:
+def record_episode(
+    episode: Episode, path: Path, *, overwrite: bool, progress: Progress, min_free_bytes: int = 0
+) -> Summary:
     """Write the positions or pictures of a simulated episode as if they came from a sensor.
 
     Raises:
-        LogError: `path` exists or cannot be written; what was written before is kept.
+        LogError: `path` exists or cannot be written, or its disk has less than `min_free_bytes`
+            left; what was written before is kept.
     """
-    captured = 0
     total = sum(len(one.stamps_ns) for one in episode.signals.values())
     total += sum(channel.messages for channel in episode.channels)
     with (
         stop_flag() as stop,
-        EpisodeWriter(path, episode.info, overwrite=overwrite, live=False) as writer,
+        EpisodeWriter(
+            path, episode.info, overwrite=overwrite, live=False, min_free_bytes=min_free_bytes
+        ) as writer,
         progress.bar(total, "recording", "sample") as bar,
     ):
         for topic, one in episode.signals.items():
             for stamp_ns, position_m in zip(one.stamps_ns, one.values, strict=True):
                 if stop.is_set():
                     break
-                captured += 1
                 writer.write_pose(topic, int(stamp_ns), position_m)
                 bar.update(1)
         for frame in episode.frames():
             if stop.is_set():
                 break
-            captured += 1
             writer.write_frame(CAMERA_TOPIC, frame)
             bar.update(1)
         ended = "stopped by a signal" if stop.is_set() else ""
-        writer.close(ended, captured=captured, dropped=captured - writer.written)
-    return Summary(captured, writer.written, captured - writer.written, ended)
+        writer.close(ended)
+    return Summary(writer.accepted, writer.written, writer.accepted - writer.written, ended)

@@ -11,7 +11,7 @@ import numpy as np
 
 from tunenet_logs.episode import Episode, Signal
 from tunenet_logs.errors import LogError, UsageError
-from tunenet_logs.images import compressed
+from tunenet_logs.jpeg import compressed
 from tunenet_logs.progress import Progress
 from tunenet_logs.reader import read_episode
 from tunenet_logs.writer import EpisodeWriter

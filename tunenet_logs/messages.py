@@ -6,16 +6,21 @@ later distributions share for every type used here.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
+from tunenet_logs.episode import Frame
+
 POSE = "geometry_msgs/msg/PoseStamped"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
+IMAGE = "sensor_msgs/msg/Image"
+JOINT_STATE = "sensor_msgs/msg/JointState"
 
 CAMERA_TOPIC = "/camera/image_raw/compressed"
 """Where a camera's frames go in our own logs."""
@@ -32,7 +37,13 @@ def typestore() -> Typestore:
 
 @cache
 def definition(type_name: str) -> str:
-    """The `ros2msg` text of a type with all types that it contains."""
+    """The `ros2msg` text of a type with all types that it contains.
+
+    Raises:
+        ValueError: no type that is known here.
+    """
+    if type_name not in typestore().fielddefs:
+        raise ValueError(f"{type_name} is no message type that can be written")
     return typestore().generate_msgdef(type_name, ros_version=2)[0]
 
 
@@ -61,6 +72,59 @@ def compressed_image(stamp_ns: int, frame_id: str, encoding: str, data: bytes) -
     """A CompressedImage that holds `data` untouched."""
     pixels = np.frombuffer(data, np.uint8)
     return _type(COMPRESSED_IMAGE)(header=header(stamp_ns, frame_id), format=encoding, data=pixels)
+
+
+def image(
+    stamp_ns: int, frame_id: str, encoding: str, size_px: tuple[int, int], data: bytes
+) -> Any:
+    """An Image of bare pixels, rows from the top without gaps; `size_px` is (width, height)."""
+    width, height = size_px
+    return _type(IMAGE)(
+        header=header(stamp_ns, frame_id),
+        height=height,
+        width=width,
+        encoding=encoding,
+        is_bigendian=0,
+        step=len(data) // height,
+        data=np.frombuffer(data, np.uint8),
+    )
+
+
+def joint_state(
+    stamp_ns: int,
+    names: Sequence[str],
+    position_rad: ArrayLike,
+    velocity_rad_s: ArrayLike,
+    effort_nm: ArrayLike,
+) -> Any:
+    """A JointState: [rad], [rad/s] and [N·m], or m, m/s and N of a joint that slides.
+
+    Raises:
+        ValueError: a quantity is neither empty nor one number a joint.
+    """
+    columns: list[NDArray[np.float64]] = []
+    for values in (position_rad, velocity_rad_s, effort_nm):
+        column = np.asarray(values, np.float64)
+        if column.shape not in ((len(names),), (0,)):
+            raise ValueError(f"{len(names)} joints have values of shape {column.shape}")
+        columns.append(column)
+    position, velocity, effort = columns
+    return _type(JOINT_STATE)(
+        header=header(stamp_ns, ""),
+        name=list(names),
+        position=position,
+        velocity=velocity,
+        effort=effort,
+    )
+
+
+def frame(picture: Frame) -> tuple[str, bytes]:
+    """A picture as (type name, CDR): a CompressedImage, or an Image of bare pixels."""
+    if picture.size is None:
+        made = compressed_image(picture.stamp_ns, "camera", picture.encoding, picture.data)
+        return COMPRESSED_IMAGE, encode(made, COMPRESSED_IMAGE)
+    made = image(picture.stamp_ns, "camera", picture.encoding, picture.size, picture.data)
+    return IMAGE, encode(made, IMAGE)
 
 
 def encode(message: Any, type_name: str) -> bytes:

@@ -2,96 +2,170 @@
 
 from __future__ import annotations
 
-import os
+import errno
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import NoReturn, Self
 
 import numpy as np
-from mcap.writer import CompressionType, Writer
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from tunenet_logs import __version__, messages
+from tunenet_logs.clock import now_ns
 from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.errors import LogError
+from tunenet_logs.log_place import LogPlace
+from tunenet_logs.mcap_output import McapOutput
 from tunenet_logs.messages import INFO_RECORD
+from tunenet_logs.whole_file import WholeFile
 
-ACTIVE_SUFFIX = ".active"
-_CHUNK_BYTES = 64 * 1024
-_FLUSH_SECONDS = 0.1
+_CHUNK_SECONDS = 0.1
+_SYNC_SECONDS = 1.0
+_NO_SPACE = (errno.ENOSPC, errno.EDQUOT)
 
 
 class EpisodeWriter:
-    """Writes one episode to `path` (ROS 2 CDR in MCAP).
+    """Writes one episode to `path` (ROS 2 CDR in MCAP). For one thread.
 
     The file is named `NAME.mcap.active` until it is whole. Chunks are small and, for a live
-    source, closed at least every 0.1 s, so a killed recorder loses the last moments at most. The
-    first write error ends the recording: the file keeps its whole chunks, stays readable under its
-    `.active` name, and LogError says so.
+    source, closed every 0.1 s, so a killed recorder loses the last moments at most; once a second
+    the disk is asked to keep them. The first write error, or too little space, ends the recording:
+    the log is cut to what is whole, ended so that every reader opens it, and LogError says so.
 
     Args:
         path: the finished log.
         info: written at once, and again with the final counts at the end.
-        overwrite: replace an existing log (only once the new one is whole).
-        live: whether the source is gone once it is missed. Then chunks are closed by the clock;
-            else by their size alone, and the same episode gives the same bytes.
+        overwrite: replace an existing log (only with one that did not end in an error).
+        live: whether the source is gone once it is missed. Then `log_time` is the receipt, and
+            chunks are closed by the clock, for which `tick` is to be called when nothing comes;
+            else by their size alone, so that the same episode gives the same bytes.
+        min_free_bytes: what is to stay free on the disk; 0 for no such bound.
+
+    Attributes:
+        accepted: messages handed over.
+        tally: asked when the recording ends: what the recorder counted (`captured`, ...), and
+            takes no more. `dropped` follows. Left alone, what was accepted was captured.
 
     Raises:
-        LogError: `path` exists, or the folder cannot be written to.
+        LogError: `path` exists, the folder cannot be written to, or its disk has too little space.
     """
 
     def __init__(
-        self, path: Path, info: EpisodeInfo, *, overwrite: bool = False, live: bool = True
+        self,
+        path: Path,
+        info: EpisodeInfo,
+        *,
+        overwrite: bool = False,
+        live: bool = True,
+        min_free_bytes: int = 0,
     ) -> None:
-        if path.is_dir():
-            raise LogError(f"{path}: is a directory; name a file to write")
+        self._place = LogPlace(path, overwrite=overwrite, min_free_bytes=min_free_bytes)
         self.path = path
+        self.active_path = self._place.active_path
         self.info = info
-        self.active_path = path.with_name(path.name + ACTIVE_SUFFIX)
-        self._channels: dict[str, int] = {}
-        self._schemas: dict[str, int] = {}
-        self._sequences: dict[str, int] = {}
-        self._failed = False
+        self.accepted = 0
+        self.tally: Callable[[], Mapping[str, int]] = dict
         self._live = live
-        if path.exists() and not overwrite:
-            raise LogError(f"{path}: exists; choose another name with -o, or pass --overwrite")
-        if self.active_path.exists() and not overwrite:
-            raise LogError(
-                f"{self.active_path}: is left from a recording that did not end; "
-                "move it away, or pass --overwrite"
-            )
+        self._channels: dict[str, _Channel] = {}
+        self._schemas: dict[str, int] = {}
+        now = time.monotonic()
+        self._chunk_at, self._sync_at = now + _CHUNK_SECONDS, now + _SYNC_SECONDS
+        self._due_at = self._chunk_at if live else self._sync_at
         try:
-            self._file = open(self.active_path, "wb")  # noqa: SIM115 (closed by close)
+            self._file = WholeFile(self.active_path)
         except OSError as error:
             raise LogError(f"{self.active_path}: cannot be written ({error.strerror})") from error
-        self._writer = Writer(
-            self._file,
-            chunk_size=_CHUNK_BYTES,
-            compression=CompressionType.ZSTD,
-            enable_data_crcs=True,
-        )
-        with self._guarded():
-            self._writer.start(profile="ros2", library=f"tunenet-logs {__version__}")
-            self._writer.add_metadata(INFO_RECORD, info.to_strings())
-            self._flush()
+        try:
+            self._output = McapOutput(self._file, "ros2", f"tunenet-logs {__version__}")
+            self._output.add_metadata(INFO_RECORD, info.to_strings())
+        except OSError as error:
+            self.discard()
+            raise LogError(f"{path}: cannot be written ({error.strerror})") from error
 
     def write_pose(self, topic: str, stamp_ns: int, position_m: NDArray[np.float64]) -> None:
         """Write a PoseStamped in frame "world" [m]."""
-        self._write(topic, messages.POSE, stamp_ns, messages.pose(stamp_ns, "world", position_m))
+        data = messages.encode(messages.pose(stamp_ns, "world", position_m), messages.POSE)
+        self.write_message(topic, messages.POSE, stamp_ns, data)
 
-    def write_frame(self, topic: str, frame: Frame) -> None:
-        """Write an image as it is."""
-        message = messages.compressed_image(frame.stamp_ns, "camera", frame.encoding, frame.data)
-        self._write(topic, messages.COMPRESSED_IMAGE, frame.stamp_ns, message)
+    def write_frame(self, topic: str, frame: Frame, received_ns: int | None = None) -> None:
+        """Write an image as it is: a CompressedImage, or an Image of bare pixels."""
+        type_name, data = messages.frame(frame)
+        self.write_message(topic, type_name, frame.stamp_ns, data, received_ns)
+
+    def write_joints(
+        self,
+        topic: str,
+        stamp_ns: int,
+        names: Sequence[str],
+        position_rad: ArrayLike,
+        velocity_rad_s: ArrayLike = (),
+        effort_nm: ArrayLike = (),
+    ) -> None:
+        """Write a JointState [rad, rad/s, N·m]; a quantity that is not known is empty."""
+        state = messages.joint_state(stamp_ns, names, position_rad, velocity_rad_s, effort_nm)
+        data = messages.encode(state, messages.JOINT_STATE)
+        self.write_message(topic, messages.JOINT_STATE, stamp_ns, data)
+
+    def write_message(
+        self, topic: str, type_name: str, stamp_ns: int, data: bytes, received_ns: int | None = None
+    ) -> None:
+        """Write a message that is CDR already.
+
+        Args:
+            topic: with one type only.
+            type_name: such as "sensor_msgs/msg/JointState".
+            stamp_ns: of the acquisition.
+            data: the message with its four bytes of encapsulation.
+            received_ns: when a live one came, on the clock of `clock.now_ns`; now if None.
+
+        Raises:
+            LogError: writing failed, or the disk is nearly full; the recording is over.
+            ValueError: a type that is not known, or another than the topic's.
+        """
+        channel = self._channels.get(topic)
+        if channel is None or channel.type_name != type_name:
+            channel = self._register(topic, type_name)
+        channel.sequence += 1
+        self.accepted += 1
+        published_ns = max(stamp_ns, 0)  # MCAP knows no time before 1970
+        log_ns = published_ns
+        if self._live:
+            log_ns = now_ns() if received_ns is None else received_ns
+        try:
+            self._output.add_message(channel.id, channel.sequence, log_ns, published_ns, data)
+        except OSError as error:
+            self._break_off(error)
+        if time.monotonic() >= self._due_at:
+            self.tick()
+
+    def tick(self) -> None:
+        """Do what is due by the clock; to be called often while nothing comes.
+
+        Raises:
+            LogError: writing failed, or the disk is nearly full; the recording is over.
+        """
+        now = time.monotonic()
+        if now < self._due_at:
+            return
+        try:
+            if self._live and now >= self._chunk_at:
+                self._output.close_chunk()
+                self._chunk_at = now + _CHUNK_SECONDS
+            if now >= self._sync_at:
+                self._file.sync()
+                self._sync_at = now + _SYNC_SECONDS
+                self._spare_the_disk()
+        except OSError as error:
+            self._break_off(error)
+        self._due_at = min(self._chunk_at, self._sync_at) if self._live else self._sync_at
 
     @property
     def written(self) -> int:
-        """Messages accepted so far."""
-        return sum(self._sequences.values())
+        """Messages that are in the file and would survive this process."""
+        return self._output.message_count
 
     def note(self, name: str, text: str) -> None:
         """Say something in the log's info that became known while recording."""
@@ -99,27 +173,32 @@ class EpisodeWriter:
 
     def discard(self) -> None:
         """Leave no log: nothing came that is worth one. A log that it would replace stays."""
-        with suppress(OSError):  # the bytes that it still holds are not wanted
-            self._file.close()
+        self._file.close()
         self.active_path.unlink(missing_ok=True)
 
-    def close(self, ended: str = "", **counts: int) -> None:
+    def close(self, ended: str = "") -> None:
         """Finish the log and give it its name. Safe to call twice.
 
         Args:
             ended: why the recording ended before its source did.
-            counts: what the recorder counted, beside `written`.
+
+        Raises:
+            LogError: writing failed.
         """
-        if self._file.closed:
+        if self._file.is_closed:
             return
-        info = self.info.ended(ended, **counts, written=self.written)
-        with self._guarded():
-            self._writer.add_metadata(INFO_RECORD, info.to_strings())
-            self._writer.finish()
-            self._file.flush()
-            os.fdatasync(self._file.fileno())
+        try:
+            self._output.close_chunk()
+            self._output.end(INFO_RECORD, self._final_info(ended))
+            self._file.sync()
+        except OSError as error:
+            self._break_off(error)
         self._file.close()
-        self.active_path.replace(self.path)
+        if not self._place.give_name(is_cut=False):
+            raise LogError(
+                f"{self.path}: exists by now, or cannot be written; the log is whole in "
+                f"{self.active_path.name}"
+            )
 
     def __enter__(self) -> Self:
         return self
@@ -130,49 +209,62 @@ class EpisodeWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        if not self._failed:
-            self.close()
+        self.close("" if kind is None else f"broke off ({kind.__name__})")
 
-    def _write(self, topic: str, type_name: str, stamp_ns: int, message: Any) -> None:
-        with self._guarded():
-            channel = self._channels.get(topic)
-            if channel is None:
-                channel = self._register(topic, type_name)
-            self._sequences[topic] += 1
-            self._writer.add_message(
-                channel_id=channel,
-                log_time=stamp_ns,
-                publish_time=stamp_ns,
-                sequence=self._sequences[topic],
-                data=messages.encode(message, type_name),
-            )
-            if self._live and time.monotonic() - self._flushed_at > _FLUSH_SECONDS:
-                self._flush()
-
-    def _register(self, topic: str, type_name: str) -> int:
+    def _register(self, topic: str, type_name: str) -> _Channel:
+        if topic in self._channels:
+            known = self._channels[topic].type_name
+            raise ValueError(f"{topic} holds {known}, so it cannot hold {type_name}")
+        text = messages.definition(type_name)
         if type_name not in self._schemas:
-            text = messages.definition(type_name).encode()
-            self._schemas[type_name] = self._writer.register_schema(type_name, "ros2msg", text)
-        self._sequences[topic] = 0
-        self._channels[topic] = self._writer.register_channel(
-            topic, "cdr", self._schemas[type_name]
-        )
+            self._schemas[type_name] = self._output.add_schema(type_name, "ros2msg", text)
+        number = self._output.add_channel(topic, "cdr", self._schemas[type_name])
+        self._channels[topic] = _Channel(number, type_name)
         return self._channels[topic]
 
-    def _flush(self) -> None:
-        self._writer.flush()
-        self._flushed_at = time.monotonic()
+    def _final_info(self, ended: str) -> dict[str, str]:
+        """The info record of the end: what is in the file now, and what is not."""
+        counts = {"captured": self.accepted, **self.tally()}
+        captured = counts.pop("captured")
+        dropped = captured - self.written
+        info = self.info.ended(
+            ended, captured=captured, dropped=dropped, **counts, written=self.written
+        )
+        self.info = info
+        return info.to_strings()
 
-    @contextmanager
-    def _guarded(self) -> Iterator[None]:
-        """Turn the first write error into a readable file and one clear message."""
-        try:
-            yield
-        except OSError as error:
-            self._failed = True
-            with suppress(OSError):  # it may fail again, on the bytes that it still holds
-                self._file.close()
-            raise LogError(
-                f"{self.path}: writing failed ({error.strerror}); what was written before is kept "
-                f"in {self.active_path.name}; free some space and record again"
-            ) from error
+    def _spare_the_disk(self) -> None:
+        if why := self._place.why_too_full(self._file.free_bytes()):
+            self._output.close_chunk()
+            self._end_early(f"stopped, {why}", "free some space, or lower --min-free")
+
+    def _break_off(self, error: OSError) -> NoReturn:
+        if self._file.is_closed:
+            raise LogError(f"{self.path}: the recording is over") from error
+        is_full = error.errno in _NO_SPACE
+        remedy = "free some space and record again" if is_full else "record to another disk"
+        self._end_early(f"writing failed ({error.strerror})", remedy, error)
+
+    def _end_early(self, why: str, remedy: str, cause: OSError | None = None) -> NoReturn:
+        """End the log with what is in it, and say what is kept and where."""
+        is_whole = self._output.is_ended or self._output.end_as_fits(
+            INFO_RECORD, self._final_info(why)
+        )
+        self._file.close()
+        is_named = is_whole and self._place.give_name(is_cut=True)
+        place = self.path.name if is_named else self.active_path.name
+        raise LogError(
+            f"{self.path}: {why}; {self.written} of {self.info.counts['captured']} messages are "
+            f"kept in {place}; {remedy}"
+        ) from cause
+
+
+class _Channel:
+    """A topic in the log."""
+
+    __slots__ = ("id", "sequence", "type_name")
+
+    def __init__(self, number: int, type_name: str) -> None:
+        self.id = number
+        self.type_name = type_name
+        self.sequence = 0

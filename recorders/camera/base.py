@@ -1,10 +1,8 @@
-"""What every source of frames offers, and the clock of those that are live."""
+"""What every source of frames offers."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
-from functools import cache
 from typing import Protocol
 
 from tunenet_logs.episode import Frame
@@ -40,16 +38,3 @@ class Source(Protocol):
     def close(self) -> None:
         """Let go of it. From any thread; running `frames` end by themselves soon after."""
         ...
-
-
-@cache
-def _anchor_ns() -> int:
-    return time.time_ns() - time.monotonic_ns()
-
-
-def wall_ns(monotonic_ns: int) -> int:
-    """A monotonic time on the wall clock, as that stood when it was first asked for.
-
-    Anchored once: a wall clock that is set while recording must not bend the stamps.
-    """
-    return _anchor_ns() + monotonic_ns

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from recorders.camera.base import Source
-from recorders.camera.frame_queue import FrameQueue
 from recorders.session import Summary, stop_flag
-from tunenet_logs.episode import EpisodeInfo
+from recorders.topic_queue import TopicQueue
+from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.errors import CameraError, LogError, TuneNetError
 from tunenet_logs.images import image_size
 from tunenet_logs.progress import Bar, Progress
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from recorders.camera.preview import Preview
 
 TOPIC = "/camera/image_raw/compressed"
-_LOOK_SECONDS = 0.1
-"""How often a wait for frames looks up, for a signal or a camera that fell silent."""
 
 
 @dataclass(frozen=True)
@@ -37,11 +35,13 @@ class Limits:
         seconds: length by the frames' stamps; None: until the source ends, or a signal.
         stall_s: the longest a live source may deliver nothing.
         queue_bytes: pictures read and not yet written.
+        min_free_bytes: what is to stay free on the disk; 0 for no such bound.
     """
 
     seconds: float | None = None
     stall_s: float = 5.0
     queue_bytes: int = 64 * 1024 * 1024
+    min_free_bytes: int = 0
 
 
 def record_camera(
@@ -60,16 +60,24 @@ def record_camera(
 
     Raises:
         CameraError: no frame came (no log is left), or the source failed (what came is kept).
-        LogError: `path` exists or cannot be written; what was written before is kept.
+        LogError: `path` exists or cannot be written, or its disk has too little space; what was
+            written before is kept.
     """
     info = replace(info, source=source.name, notes={**info.notes, **source.notes()})
     with (
         closing(source),
         stop_flag() as stop,
-        EpisodeWriter(path, info, overwrite=overwrite, live=source.live) as writer,
+        EpisodeWriter(
+            path,
+            info,
+            overwrite=overwrite,
+            live=source.live,
+            min_free_bytes=limits.min_free_bytes,
+        ) as writer,
         progress.bar(None, "recording", "frame") as bar,
     ):
         reader = _Reader(source, limits, counts=preview is None)
+        writer.tally = reader.tally
         reader.start()
         try:
             ended = _write_frames(reader, writer, stop, bar, preview)
@@ -79,7 +87,7 @@ def record_camera(
         if not queue.captured:
             writer.discard()
             raise reader.error or CameraError(_nothing_came(source, ended))
-        rate_hz = measured_hz(queue.stamps_ns)
+        rate_hz = measured_hz(queue.tally(TOPIC).stamps_ns)
         if rate_hz:
             writer.note("measured_hz", f"{rate_hz:.3f}")
         for name, text in source.notes().items():
@@ -87,8 +95,7 @@ def record_camera(
         if preview is not None and preview.click is not None:
             writer.note("ball_at_px", f"{preview.click.x_px:.1f},{preview.click.y_px:.1f}")
             writer.note("ball_at_stamp_ns", str(preview.click.stamp_ns))
-        damaged = {"damaged": source.damaged} if source.damaged else {}
-        writer.close(ended, captured=queue.captured, dropped=queue.dropped, **damaged)
+        writer.close(ended)
     if reader.error is not None:
         raise CameraError(
             f"{reader.error}; the {writer.written} frames before that are kept in {path}"
@@ -115,7 +122,9 @@ class _Reader(threading.Thread):
         super().__init__(name="camera", daemon=True)
         self.source = source
         self.limits = limits
-        self.queue = FrameQueue(limits.queue_bytes, drops=source.live, counts=counts)
+        self.queue: TopicQueue[Frame] = TopicQueue(
+            limits.queue_bytes, drops=source.live, counts=counts
+        )
         self.error: TuneNetError | None = None
 
     def run(self) -> None:
@@ -133,13 +142,29 @@ class _Reader(threading.Thread):
 
     def _read(self) -> None:
         seconds = self.limits.seconds
+        last_ns: int | None = None
         with closing(self.source.frames()) as frames:  # type: ignore[type-var]
             for frame in frames:
-                past_ns = self.queue.since_first_ns(frame.stamp_ns)
-                if seconds is not None and past_ns >= seconds * 1e9:
+                stamp_ns = frame.stamp_ns
+                if last_ns is not None and stamp_ns <= last_ns:  # both in one read
+                    stamp_ns = last_ns + 1
+                last_ns = stamp_ns
+                if seconds is not None and self._since_first_ns(stamp_ns) >= seconds * 1e9:
                     return
-                if not self.queue.put(frame):
+                told = replace(frame, stamp_ns=stamp_ns)
+                if not self.queue.put(TOPIC, stamp_ns, told, len(frame.data)):
                     return
+
+    def _since_first_ns(self, stamp_ns: int) -> int:
+        """Time from the first frame that counted [ns]; 0 before that."""
+        stamps_ns = self.queue.tally(TOPIC).stamps_ns
+        return stamp_ns - stamps_ns[0] if stamps_ns else 0
+
+    def tally(self) -> dict[str, int]:
+        """What came; nothing more comes after that."""
+        self.queue.close()
+        damaged = {"damaged": self.source.damaged} if self.source.damaged else {}
+        return {"captured": self.queue.captured, **damaged}
 
     def stop(self) -> None:
         """Take no more frames, and wait a moment for the source to notice."""
@@ -166,20 +191,24 @@ def _write_frames(
             queue.start()
         if not ended and (ended := _told_to_stop(stop, preview)):
             queue.close()
-        frame = queue.get(_LOOK_SECONDS)
-        if frame is not None:
+        item = queue.take()
+        if item is not None:
+            frame = item.payload
             if is_recording:
-                if not writer.written:
+                if not writer.accepted:
                     _note_size(writer, frame.data)
-                writer.write_frame(TOPIC, frame)
+                writer.write_frame(TOPIC, frame, item.received_ns)
                 bar.set_postfix_str(f"{queue.dropped} dropped", refresh=False)
                 bar.update(1)
             if preview is not None:
                 preview.show(frame, queue.dropped)
             heard = time.monotonic()
-        elif source.live and not ended and time.monotonic() - heard > stall_s:
+            continue
+        if source.live and not ended and time.monotonic() - heard > stall_s:
             ended = f"no frame for {stall_s:.1f} s"
             queue.close()
+        writer.tick()
+        queue.pause()
     failure = "" if reader.error is None else str(reader.error)
     return ended or source.ended or failure
 

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from recorders.camera.base import wall_ns
-from recorders.camera.jpeg import from_bgr, is_whole
 from recorders.camera.settings import Settings, apply, in_words
+from tunenet_logs.clock import wall_ns
 from tunenet_logs.episode import Frame
 from tunenet_logs.errors import CameraError
+from tunenet_logs.jpeg import from_bgr, is_whole
 
 _PLAUSIBLE_NS = 5_000_000_000
 

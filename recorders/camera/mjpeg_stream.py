@@ -10,11 +10,11 @@ from urllib import request
 from urllib.error import HTTPError, URLError
 
 from recorders.camera.address import Address
-from recorders.camera.base import wall_ns
-from recorders.camera.jpeg import is_whole
 from recorders.camera.multipart import MultipartParser
+from tunenet_logs.clock import wall_ns
 from tunenet_logs.episode import Frame
 from tunenet_logs.errors import CameraError
+from tunenet_logs.jpeg import is_whole
 
 _BOUNDARY = re.compile(r'boundary\s*=\s*(?:"([^"]*)"|([^;\s]*))', re.IGNORECASE)
 

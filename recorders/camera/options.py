@@ -87,7 +87,11 @@ def record_camera_as_asked(arguments: argparse.Namespace, path: Path) -> str:
     from recorders.camera.sources import open_source
     from tunenet_logs.episode import EpisodeInfo
 
-    limits = Limits(seconds=arguments.seconds, stall_s=arguments.stall or Limits.stall_s)
+    limits = Limits(
+        seconds=arguments.seconds,
+        stall_s=arguments.stall or Limits.stall_s,
+        min_free_bytes=round(arguments.min_free * 1e6),
+    )
     settings = Settings(
         size=arguments.size,
         rate_hz=arguments.rate,

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from recorders.camera.address import Address
-from recorders.camera.base import wall_ns
-from recorders.camera.jpeg import compressed, is_whole
+from tunenet_logs.clock import wall_ns
 from tunenet_logs.episode import Frame
 from tunenet_logs.errors import CameraError
 from tunenet_logs.images import MAX_PIXELS
+from tunenet_logs.jpeg import compressed, is_whole
 
 if TYPE_CHECKING:
     from av import Packet

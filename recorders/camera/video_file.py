@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from recorders.camera.jpeg import compressed
 from tunenet_logs.episode import Frame
 from tunenet_logs.errors import CameraError
 from tunenet_logs.formats.video import open_video, video_notes
+from tunenet_logs.jpeg import compressed
 
 
 class VideoFile:

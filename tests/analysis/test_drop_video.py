@@ -251,7 +251,8 @@ def test_header_stamps_that_do_not_tell_the_time(tmp_path: Path, filmed_log: Pat
         for frame in frames:
             stamp_ns = told[stamps](frame.stamp_ns)
             data = messages.compressed_image(stamp_ns, "camera", "jpeg", frame.data)
-            writer._write("/cam", messages.COMPRESSED_IMAGE, frame.stamp_ns, data)
+            cdr = messages.encode(data, messages.COMPRESSED_IMAGE)
+            writer.write_message("/cam", messages.COMPRESSED_IMAGE, frame.stamp_ns, cdr)
     assert value(tune_log(path, Options())) == pytest.approx(0.7, abs=0.01)
 
 

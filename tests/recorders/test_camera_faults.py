@@ -195,6 +195,14 @@ sys.exit(main(["--camera", sys.argv[1], "-o", "a.mcap"]))
     assert result.returncode == 1
     assert "writing failed" in result.stderr
     assert result.stderr.count("\n") == 1
-    seen = numbers(read_episode(tmp_path / "a.mcap.active"))
+    episode = read_episode(tmp_path / "a.mcap")
+    assert not episode.warnings
+    seen = numbers(episode)
     assert len(seen) > 3
     assert seen == list(range(len(seen)))
+    counts = episode.info.counts
+    assert counts["written"] == len(seen)
+    assert counts["captured"] == counts["written"] + counts["dropped"]
+    kept = f"{len(seen)} of {counts['captured']} messages are kept in a.mcap"
+    assert kept in result.stderr
+    assert "writing failed" in episode.info.notes["ended"]

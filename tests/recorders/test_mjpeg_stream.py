@@ -27,7 +27,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recorders.camera.capture import Limits, record_camera
-from recorders.camera.jpeg import is_whole
 from recorders.camera.multipart import MultipartParser
 from recorders.camera.sources import open_source
 from recorders.session import Summary
@@ -35,6 +34,7 @@ from tests.conftest import BIN
 from tests.recorders.mjpeg_camera import number_in, picture, playing
 from tunenet_logs.episode import Episode, EpisodeInfo
 from tunenet_logs.errors import CameraError
+from tunenet_logs.jpeg import is_whole
 from tunenet_logs.progress import Bar, Progress
 from tunenet_logs.reader import read_episode
 

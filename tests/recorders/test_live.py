@@ -1,0 +1,170 @@
+"""Several live streams in one log: nothing lost, whatever ends the recording."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from recorders.live import LiveRecording
+from recorders.topic_queue import TopicQueue
+from tests.conftest import files_no_larger_than
+from tests.recorders.live_recorder import (
+    JOINTS,
+    NAMES,
+    PICTURES,
+    Progress,
+    check_whole_file,
+    found_in,
+    frame_of,
+    joints_of,
+    missing_s,
+    started,
+)  # fmt: skip
+from tunenet_logs import messages
+from tunenet_logs.episode import EpisodeInfo, Frame
+from tunenet_logs.errors import LogError
+from tunenet_logs.reader import read_episode
+
+INFO = EpisodeInfo(kind="test")
+
+
+@pytest.mark.parametrize("seconds", [0.3, 0.45, 0.7, 1.05, 1.3, 1.55])
+def test_killed_it_lacks_the_last_moments_at_most(tmp_path: Path, seconds: float):
+    process = started(tmp_path)
+    time.sleep(seconds)
+    process.kill()
+    process.communicate()
+    assert missing_s(tmp_path, tmp_path / "a.mcap.active") < 1.0  # benchmarks/durability.py: 0.3
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("seconds", [0.0, 0.35])
+def test_a_signal_ends_it_whole_and_every_count_agrees(tmp_path: Path, number: int, seconds: float):
+    process = started(tmp_path)
+    time.sleep(seconds)
+    process.send_signal(number)
+    said, _ = process.communicate(timeout=20)
+    assert process.returncode == 0
+    check_whole_file(tmp_path / "a.mcap", said)
+    progress = Progress(tmp_path / "progress")
+    found = found_in(tmp_path / "a.mcap")
+    assert {topic: one.messages for topic, one in found.items()} == {
+        topic: int(progress.row(topic)[0]) for topic in found
+    }
+
+
+def test_what_was_put_is_on_disk_although_nothing_more_comes(tmp_path: Path):
+    with LiveRecording(tmp_path / "a.mcap", INFO) as recording:
+        recording.put_joints(JOINTS, 7, NAMES, *joints_of(0))
+        while not recording.written:
+            time.sleep(0.01)
+        found = found_in(tmp_path / "a.mcap.active")
+        assert found[JOINTS].messages == 1
+
+
+def test_any_message_that_is_encoded_already_goes_in_as_it_is(tmp_path: Path):
+    pose = messages.encode(messages.pose(5, "world", np.arange(3.0)), messages.POSE)
+    pixels = bytes(range(24))
+    with LiveRecording(tmp_path / "a.mcap", INFO) as recording:
+        assert recording.put_message("/pose", messages.POSE, 5, pose)
+        assert recording.put_frame("/raw", Frame(5, "rgb8", pixels, (4, 2)))
+        with pytest.raises(ValueError, match="holds geometry_msgs/msg/PoseStamped"):
+            recording.put_frame("/pose", Frame(6, "jpeg", b""))
+        with pytest.raises(ValueError, match="no message type"):
+            recording.put_message("/x", "my_msgs/msg/Nix", 5, b"")
+        with pytest.raises(ValueError, match="7 joints have values of shape"):
+            recording.put_joints(JOINTS, 5, NAMES, [1.0, 2.0])
+    assert not recording.put_message("/pose", messages.POSE, 6, pose)
+    assert recording.summary.in_words("messages") == "2 messages captured, 2 written, 0 dropped"
+    assert np.array_equal(
+        read_episode(tmp_path / "a.mcap").signals["/pose"].values, np.arange(3.0)[None]
+    )
+
+
+def test_the_first_write_error_ends_it_and_says_how_much_is_kept(tmp_path: Path):
+    recording = LiveRecording(tmp_path / "a.mcap", INFO)
+    number = 0
+    with files_no_larger_than(500_000):
+        while recording.put_frame(PICTURES, Frame(1 + number, "jpeg", frame_of(number))):
+            number += 1
+            time.sleep(0.001)
+        assert recording.wait(20)
+    with pytest.raises(LogError, match=r"writing failed .* kept in a\.mcap") as caught:
+        recording.close()
+    episode = read_episode(tmp_path / "a.mcap")
+    frames = [frame.data for frame in episode.frames()]
+    counts = episode.info.counts
+    assert frames == [frame_of(index) for index in range(len(frames))]
+    assert len(frames) > 1
+    assert counts["captured"] == number == counts["written"] + counts["dropped"]
+    assert counts["written"] == len(frames) == recording.summary.written
+    assert f"{len(frames)} of {number} messages are kept" in str(caught.value)
+    assert not episode.warnings
+
+
+def test_what_comes_too_fast_is_dropped_and_counted_by_topic(tmp_path: Path):
+    recording = LiveRecording(tmp_path / "a.mcap", INFO, queue_bytes=100_000)
+    for number in range(300):
+        recording.put_frame(PICTURES, Frame(1 + number, "jpeg", frame_of(number)))
+        recording.put_joints(JOINTS, 1 + number, NAMES, *joints_of(number))
+    summary = recording.close()
+    counts = read_episode(tmp_path / "a.mcap").info.counts
+    assert summary.captured == 600 == summary.written + summary.dropped
+    assert summary.dropped == sum(counts.get(f"dropped.{one}", 0) for one in (PICTURES, JOINTS))
+    assert counts[f"dropped.{PICTURES}"] > 0
+    found = found_in(tmp_path / "a.mcap")
+    assert sum(one.messages for one in found.values()) == summary.written == counts["written"]
+
+
+def test_a_queue_is_bounded_in_bytes_over_all_topics():
+    queue: TopicQueue[str] = TopicQueue(100, drops=True)
+    assert all(queue.put("/a", index, "x", 40) for index in range(3))
+    assert queue.put("/b", 5, "y", 20)
+    assert queue.put("/b", 6, "y", 1)
+    assert (queue.tally("/a").captured, queue.tally("/a").dropped) == (3, 1)
+    assert (queue.tally("/b").captured, queue.tally("/b").dropped) == (2, 1)
+    queue.close()
+    assert not queue.put("/a", 9, "x", 1)
+    items = []
+    while (item := queue.take()) is not None:
+        items.append((item.topic, item.stamp_ns))
+    assert items == [("/a", 0), ("/a", 1), ("/b", 5)]
+    assert queue.is_done
+    assert (queue.captured, queue.dropped) == (5, 2)
+
+
+def test_a_message_larger_than_the_bound_passes_alone():
+    queue: TopicQueue[str] = TopicQueue(100, drops=True)
+    queue.put("/a", 0, "large", 1000)
+    queue.put("/a", 1, "small", 1)
+    assert queue.dropped == 1
+    item = queue.take()
+    assert item is not None
+    assert item.payload == "large"
+
+
+def test_a_queue_that_must_not_drop_makes_the_source_wait():
+    queue: TopicQueue[int] = TopicQueue(100, drops=False)
+
+    def fill() -> None:
+        for index in range(50):
+            queue.put("/a", index, index, 60)
+        queue.close()
+
+    thread = threading.Thread(target=fill)
+    thread.start()
+    seen: list[int] = []
+    while not queue.is_done:
+        item = queue.take()
+        if item is None:
+            queue.pause()
+        else:
+            seen.append(item.payload)
+    thread.join()
+    assert seen == list(range(50))
+    assert queue.dropped == 0

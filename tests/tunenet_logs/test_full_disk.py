@@ -1,0 +1,194 @@
+"""A disk that takes no more ends a recording: what was acknowledged is read back by everyone."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Iterator
+from contextlib import nullcontext
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import NonSeekingReader, make_reader
+
+from tests.conftest import Command, files_no_larger_than
+from tunenet_logs.episode import EpisodeInfo
+from tunenet_logs.errors import LogError
+from tunenet_logs.reader import read_episode
+from tunenet_logs.writer import EpisodeWriter
+
+
+def fill(folder: Path, limit: int, *, live: bool, overwrite: bool = False) -> tuple[int, str]:
+    """Record until it fails; messages acknowledged before, and what is said.
+
+    Args:
+        folder: for a.mcap.
+        limit: of the file's size; 0 for the disk's own.
+        live: whether the source is.
+        overwrite: whether a log there is to be replaced.
+    """
+    acknowledged = 0
+
+    def write() -> None:
+        nonlocal acknowledged
+        rng = np.random.default_rng(0)
+        info = EpisodeInfo(kind="drop")
+        with EpisodeWriter(folder / "a.mcap", info, live=live, overwrite=overwrite) as writer:
+            for index in range(100_000):
+                writer.write_pose("/ball/pose", 1 + index, rng.normal(size=3))
+                acknowledged = writer.written
+
+    bound = files_no_larger_than(limit) if limit else nullcontext()
+    with bound, pytest.raises(LogError) as caught:
+        write()
+    assert caught.value.exit_code == 1
+    assert "\n" not in str(caught.value)
+    return acknowledged, str(caught.value)
+
+
+def heights_in(log: Path, acknowledged: int) -> int:
+    """Check a log that ended early with our reader and with others'; its messages."""
+    episode = read_episode(log)
+    ball = episode.signals.get("/ball/pose")
+    values = np.zeros((0, 3)) if ball is None else ball.values
+    assert np.array_equal(values, np.random.default_rng(0).normal(size=(len(values), 3)))
+    with log.open("rb") as file:
+        assert len(list(make_reader(file).iter_messages())) == len(values)
+        file.seek(0)
+        streamed = NonSeekingReader(file, validate_crcs=True)
+        assert len(list(streamed.iter_messages(log_time_order=False))) == len(values)
+        file.seek(0)
+        summary = make_reader(file).get_summary()
+    if summary is not None and summary.statistics is not None:
+        assert summary.statistics.message_count == len(values)
+    assert len(values) >= acknowledged
+    assert not episode.warnings
+    return len(values)
+
+
+@pytest.mark.parametrize("live", [True, False])
+@pytest.mark.parametrize("limit", [1200, 4000, 20_000, 60_000, 100_000, 300_001])
+def test_a_file_that_may_not_grow(tmp_path: Path, limit: int, live: bool):
+    acknowledged, said = fill(tmp_path, limit, live=live)
+    log = tmp_path / "a.mcap"
+    assert [one.name for one in tmp_path.iterdir()] == ["a.mcap"]
+    assert log.stat().st_size <= limit
+    kept = heights_in(log, acknowledged)
+    assert f"; {kept} of " in said
+    assert "are kept in a.mcap;" in said
+    if limit > 50_000:  # less holds no whole chunk
+        assert kept > 100
+    info = read_episode(log).info
+    assert info.kind == "drop"
+    assert info.counts["written"] == kept
+    assert info.counts["captured"] == kept + info.counts["dropped"]
+    assert info.counts["dropped"] > 0
+    assert info.notes["ended"].startswith("writing failed")
+
+
+def test_at_any_size_there_is_one_log_and_it_holds_what_was_acknowledged(tmp_path: Path):
+    forms: set[str] = set()
+    for limit in range(1, 66_000, 1571):
+        folder = tmp_path / str(limit)
+        folder.mkdir()
+        acknowledged, said = fill(folder, limit, live=False)
+        names = [one.name for one in folder.iterdir()]
+        if "cannot be written" in said:  # not even the beginning fits
+            assert not names
+        else:
+            assert names == ["a.mcap"]
+            assert heights_in(folder / "a.mcap", acknowledged) == acknowledged
+        forms.add(said.split("(")[0].rpartition(":")[2])
+    assert forms == {" cannot be written ", " writing failed "}
+
+
+def test_where_no_end_fits_the_log_is_left_without_one(tmp_path: Path):
+    with EpisodeWriter(tmp_path / "a.mcap", EpisodeInfo(kind="drop"), live=False) as writer:
+        rng = np.random.default_rng(0)
+        while not writer.written:
+            writer.write_pose("/ball/pose", 1 + writer.accepted, rng.normal(size=3))
+        size = writer.active_path.stat().st_size
+    folder = tmp_path / "again"
+    folder.mkdir()
+    _, said = fill(folder, size + 40, live=False)
+    assert "kept in a.mcap.active" in said
+    episode = read_episode(folder / "a.mcap.active")
+    assert any("end of the file is missing" in warning for warning in episode.warnings)
+
+
+def test_a_log_that_was_to_be_replaced_stays(tmp_path: Path):
+    (tmp_path / "a.mcap").write_bytes(b"the old one")
+    acknowledged, said = fill(tmp_path, 100_000, live=True, overwrite=True)
+    assert (tmp_path / "a.mcap").read_bytes() == b"the old one"
+    kept = heights_in(tmp_path / "a.mcap.active", acknowledged)
+    assert f"{kept} of " in said
+    assert "kept in a.mcap.active" in said
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of 1 MiB."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    words = ["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(folder)]
+    try:
+        mounted = subprocess.run(words, capture_output=True, text=True, timeout=20)
+    except FileNotFoundError:
+        pytest.skip("there is no mount command to make a small disk with")
+    if mounted.returncode:
+        pytest.skip(f"a small disk cannot be mounted here ({mounted.stderr.strip()})")
+    yield folder
+    subprocess.run(["umount", str(folder)], check=True, timeout=20)
+
+
+@pytest.mark.parametrize("live", [True, False])
+@pytest.mark.parametrize("taken", [0, 900_000, 1_040_000])
+def test_a_small_disk(small_disk: Path, live: bool, taken: int):
+    (small_disk / "other").write_bytes(bytes(taken))
+    acknowledged, said = fill(small_disk, 0, live=live)
+    assert "No space left on device" in said
+    left = [one for one in small_disk.iterdir() if one.name != "other"]
+    assert len(left) == 1
+    assert left[0].name in said
+    assert f"; {heights_in(left[0], acknowledged)} of " in said
+
+
+def test_too_little_space_ends_it_whole(small_disk: Path):
+    log, half = small_disk / "a.mcap", 512 * 1024
+    writer = EpisodeWriter(log, EpisodeInfo(kind="drop"), min_free_bytes=half)
+    rng = np.random.default_rng(0)
+    for index in range(2000):
+        writer.write_pose("/ball/pose", 1 + index, rng.normal(size=3))
+    (small_disk / "other").write_bytes(bytes(half))
+
+    def wait() -> None:
+        while True:
+            writer.tick()
+
+    with pytest.raises(LogError, match=r"2000 of 2000 messages are kept in a\.mcap; free some"):
+        wait()
+    assert heights_in(log, 2000) == 2000
+    info = read_episode(log).info
+    assert info.counts == {"captured": 2000, "written": 2000, "dropped": 0}
+    assert "are to stay free" in info.notes["ended"]
+    with pytest.raises(LogError, match="not recorded, the disk has"):
+        EpisodeWriter(small_disk / "b.mcap", EpisodeInfo(), min_free_bytes=half)
+    assert not (small_disk / "b.mcap.active").exists()
+
+
+@pytest.mark.parametrize("source", [("--simulate", "drop"), ("--camera", "a.mp4")])
+def test_a_recording_does_not_start_on_a_disk_that_is_nearly_full(
+    command: Command, tmp_path: Path, source: tuple[str, str]
+):
+    from tests.recorders.test_video_file import write_video
+
+    write_video(tmp_path / "a.mp4", [0, 10, 20])
+    words = (*source, "--min-free", 999_999_999, "-o", "a.mcap")
+    result = command("tunenet-record", *words, cwd=tmp_path)
+    assert result.returncode == 1
+    assert result.stderr.count("\n") == 1
+    assert "MB are to stay free" in result.stderr
+    assert "--min-free" in result.stderr
+    assert [one.name for one in tmp_path.iterdir()] == ["a.mp4"]
+    allowed = command("tunenet-record", *source, "--min-free", 0, "-o", "a.mcap", cwd=tmp_path)
+    assert allowed.returncode == 0, allowed.stderr

@@ -1,0 +1,92 @@
+"""A file that grows by whole pieces: one that does not fit leaves no trace."""
+
+from __future__ import annotations
+
+import errno
+import os
+import zlib
+from contextlib import suppress
+from pathlib import Path
+
+
+class WholeFile:
+    """A new file, written without a buffer: what `append` returned from is in the file.
+
+    In the file means that it survives this process being killed; `sync` makes it survive the
+    machine. Where a piece does not fit, the file is cut back to the last whole one.
+
+    Args:
+        path: the file; an old one is emptied.
+
+    Attributes:
+        size_bytes: of the whole pieces.
+        crc32: of the whole pieces.
+
+    Raises:
+        OSError: it cannot be opened.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.size_bytes = 0
+        self.crc32 = 0
+        self._is_torn = False
+        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
+
+    def append(self, piece: bytes) -> None:
+        """Write all of `piece`, or nothing.
+
+        Raises:
+            OSError: it did not fit, or the disk failed.
+        """
+        if self._is_torn:
+            raise OSError(errno.EIO, "cannot be cut back after a write that failed")
+        rest = memoryview(piece)
+        try:
+            while rest:
+                rest = rest[os.write(self._descriptor, rest) :]
+        except OSError:
+            self._cut_back()
+            raise
+        self.size_bytes += len(piece)
+        self.crc32 = zlib.crc32(piece, self.crc32)
+
+    def sync(self) -> None:
+        """Have the disk keep what is in the file.
+
+        Raises:
+            OSError: it cannot.
+        """
+        os.fdatasync(self._descriptor)
+
+    def free_bytes(self) -> int:
+        """What an ordinary user may still write to this disk."""
+        return free_bytes(self._descriptor)
+
+    def close(self) -> None:
+        """Let go of the file. Safe to call twice."""
+        if self._descriptor >= 0:
+            descriptor, self._descriptor = self._descriptor, -1
+            with suppress(OSError):  # nothing is held back that could be lost here
+                os.close(descriptor)
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether it was let go of."""
+        return self._descriptor < 0
+
+    def _cut_back(self) -> None:
+        self._is_torn = True  # what follows half a piece could not be read
+        with suppress(OSError):
+            os.ftruncate(self._descriptor, self.size_bytes)
+            os.lseek(self._descriptor, self.size_bytes, os.SEEK_SET)
+            self._is_torn = False
+
+
+def free_bytes(place: Path | int) -> int:
+    """What an ordinary user may still write to the disk of a folder or an open file.
+
+    Raises:
+        OSError: there is no such folder.
+    """
+    disk = os.statvfs(place)
+    return disk.f_bavail * disk.f_frsize
