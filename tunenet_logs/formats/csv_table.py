@@ -149,7 +149,8 @@ class _Rows:
             one.add(stamp_ns, arrival_ns, row)
 
     def _time(self, clock: Clock, cells: Sequence[str]) -> int:
-        texts = [plain(cells[place], self._layout.separator) for place in clock.places]
+        separator = self._layout.separator
+        texts = [plain(cells[place], separator) for place in clock.places]
         return clock.read(texts, self._powers[clock])
 
     def episode(self, path: Path) -> Episode:

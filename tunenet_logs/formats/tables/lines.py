@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterator
+from math import isfinite
 from pathlib import Path
 
 from tunenet_logs.errors import LogError
@@ -15,7 +16,7 @@ SEPARATORS = ("\t", ";", ",", None)
 _MOST_BYTES = 1024**3
 _MOST_LINE = 1024**2
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
-_NUMBERLESS = frozenset(("", "nan", "-nan", "null", "none", "na", "n/a", "inf", "-inf"))
+_NUMBERLESS = frozenset(("", "-", "null", "none", "na", "n/a"))
 
 
 def is_table(path: Path) -> bool:
@@ -80,9 +81,11 @@ def number_of(cell: str, separator: str | None) -> float:
         ValueError: it is something else.
     """
     try:
-        value = float(plain(cell, separator))
+        value = float(cell)
     except ValueError:
-        if cell.strip().lower() in _NUMBERLESS:
-            return float("nan")
-        raise
-    return value if abs(value) != float("inf") else float("nan")
+        value = _from_words(plain(cell, separator))
+    return value if isfinite(value) else float("nan")
+
+
+def _from_words(text: str) -> float:
+    return float("nan") if text.lower() in _NUMBERLESS else float(text)
