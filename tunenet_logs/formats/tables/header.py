@@ -61,9 +61,11 @@ def open_table(path: Path) -> Table:
 
 def _layout(line: str) -> Layout | None:
     """What a line says as a header, with the separator that makes most of it."""
+    has_marks = any(mark in line for mark in SEPARATORS if mark)
     found = [
         layout
         for separator in SEPARATORS
+        if separator or not has_marks  # "Time (s),X" has a space too
         if (layout := layout_of([one.strip() for one in cells_of(line, separator)], separator))
     ]
     return next((one for one in found if one.groups), found[0] if found else None)
