@@ -163,7 +163,7 @@ def test_brackets_in_a_text_are_not_nesting():
 
 def test_a_large_message_is_refused_before_it_is_parsed():
     with pytest.raises(MessageError, match="limit"):
-        decoder_for(channel())(bytes(33 * 2**20))
+        decoder_for(channel())(bytes(17 * 2**20))
 
 
 def test_other_schemas_and_types_are_refused():

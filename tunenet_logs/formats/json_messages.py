@@ -17,7 +17,7 @@ from tunenet_logs.formats.kinds import STAMP_FIELDS
 from tunenet_logs.formats.shapes import Fields, Leaf, Many, Shape, shape_of
 
 _SCHEMAS = ("jsonschema", "")
-_MOST_BYTES = 32 * 1024 * 1024
+_MOST_BYTES = 16 * 1024 * 1024
 """Of one message: three bytes of it may become an object of ninety."""
 
 _MOST_DEPTH = 64
