@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -87,3 +89,106 @@ def write_poses(
             data = bytes(store.serialize_cdr(message, POSE))
             writer.add_message(channel, int(stamp), data, int(stamp))
         writer.finish()
+
+
+def write_ros1(
+    path: Path, stamps_ns: np.ndarray, positions: np.ndarray, topic: str = "/vrpn/thing/pose"
+) -> None:
+    """The same in the encoding of ROS 1, as `mcap convert` makes it of a bag."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    types = store.types
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros1", library="somebody's converter")
+        text = store.generate_msgdef(POSE, ros_version=1)[0].encode()
+        schema = writer.register_schema("geometry_msgs/PoseStamped", "ros1msg", text)
+        channel = writer.register_channel(topic, "ros1", schema)
+        for count, (stamp, (x, y, z)) in enumerate(zip(stamps_ns, positions, strict=True)):
+            seconds, nanoseconds = divmod(int(stamp), 1_000_000_000)
+            message = types[POSE](
+                header=types["std_msgs/msg/Header"](
+                    seq=count,
+                    stamp=types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds),
+                    frame_id="map",
+                ),
+                pose=types["geometry_msgs/msg/Pose"](
+                    position=types["geometry_msgs/msg/Point"](x=float(x), y=float(y), z=float(z)),
+                    orientation=types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
+                ),
+            )
+            data = bytes(store.serialize_ros1(message, POSE))
+            writer.add_message(channel, int(stamp), data, int(stamp))
+        writer.finish()
+
+
+def write_protobuf(
+    path: Path, stamps_ns: np.ndarray, positions: np.ndarray, topic: str = "/vrpn/thing/pose"
+) -> None:
+    """The same as foxglove.PoseInFrame in protobuf, by Foxglove's own writer."""
+    from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+    from mcap_protobuf.writer import Writer as ProtobufWriter
+
+    with path.open("wb") as file, ProtobufWriter(file) as writer:
+        for stamp, (x, y, z) in zip(stamps_ns, positions, strict=True):
+            message = PoseInFrame(frame_id="map")
+            message.timestamp.FromNanoseconds(int(stamp))
+            message.pose.position.x, message.pose.position.y, message.pose.position.z = x, y, z
+            message.pose.orientation.w = 1
+            writer.write_message(topic, message, int(stamp), int(stamp))
+
+
+def write_json(
+    path: Path, stamps_ns: np.ndarray, positions: np.ndarray, topic: str = "/vrpn/thing/pose"
+) -> None:
+    """The same as foxglove.PoseInFrame in JSON."""
+    messages = [
+        {
+            "timestamp": {"sec": int(stamp) // 10**9, "nsec": int(stamp) % 10**9},
+            "frame_id": "map",
+            "pose": {
+                "position": {"x": float(x), "y": float(y), "z": float(z)},
+                "orientation": {"x": 0, "y": 0, "z": 0, "w": 1},
+            },
+        }
+        for stamp, (x, y, z) in zip(stamps_ns, positions, strict=True)
+    ]
+    write_texts(path, "foxglove.PoseInFrame", messages, topic, stamps_ns)
+
+
+def write_texts(
+    path: Path,
+    type_name: str,
+    messages: list,
+    topic: str = "/any",
+    stamps_ns: np.ndarray | None = None,
+) -> None:
+    """A log of JSON messages; bytes are taken as they are."""
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema(type_name, "jsonschema", b'{"type": "object"}')
+        channel = writer.register_channel(topic, "json", schema)
+        for count, message in enumerate(messages):
+            stamp = 1000 + count if stamps_ns is None else int(stamps_ns[count])
+            data = message if isinstance(message, bytes) else json.dumps(message).encode()
+            writer.add_message(channel, stamp, data, stamp)
+        writer.finish()
+
+
+def write_table(path: Path, stamps_ns: np.ndarray, positions: np.ndarray) -> None:
+    """The same as a table of decimal seconds."""
+    rows = ["time,x,y,z"]
+    for stamp, row in zip(stamps_ns, positions, strict=True):
+        seconds, nanoseconds = divmod(int(stamp), 10**9)
+        rows.append(f"{seconds}.{nanoseconds:09d}," + ",".join(repr(float(one)) for one in row))
+    path.write_text("\n".join(rows) + "\n")
+
+
+WRITERS: dict[str, Callable[[Path, np.ndarray, np.ndarray], None]] = {
+    "cdr.mcap": write_poses,
+    "ros1.mcap": write_ros1,
+    "protobuf.mcap": write_protobuf,
+    "json.mcap": write_json,
+    "table.csv": write_table,
+}
+"""Writers of the same positions, by the name of a file."""

@@ -16,7 +16,7 @@ ALLOWED = {
     "recorders": {"tunenet_logs", "recorders"},
     "analysis": {"tunenet_logs", "recorders", "analysis"},
 }
-HEAVY = {"torch", "pybullet", "rerun", "cv2", "av", "pinocchio", "pandas", "tqdm"}
+HEAVY = {"torch", "pybullet", "rerun", "cv2", "av", "pinocchio", "pandas", "tqdm", "google"}
 OWNERS = {"rerun": "analysis/review/"}
 FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 

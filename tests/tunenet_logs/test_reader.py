@@ -152,7 +152,7 @@ def test_channels_that_cannot_be_used_say_why(tmp_path: Path):
         writer.start()
         pose = "geometry_msgs/msg/PoseStamped"
         for topic, encoding, kind, schema_encoding, text in [
-            ("/json", "json", "Pose", "jsonschema", b"{}"),
+            ("/cbor", "cbor", "Pose", "jsonschema", b"{}"),
             ("/other", "cdr", pose, "ros2msg", b"float64 x"),
             ("/broken", "cdr", pose, "ros2msg", b"\xff\xfe not a definition ][ "),
             ("/proto", "cdr", pose, "protobuf", b""),
@@ -164,7 +164,7 @@ def test_channels_that_cannot_be_used_say_why(tmp_path: Path):
     episode = read_episode(tmp_path / "a.mcap")
     assert not episode.signals
     reasons = {one.topic: one.skipped or "" for one in episode.channels}
-    assert "json" in reasons["/json"]
+    assert "cbor" in reasons["/cbor"]
     assert "not the usual" in reasons["/other"]
     assert "damaged" in reasons["/broken"]
     assert "protobuf" in reasons["/proto"]

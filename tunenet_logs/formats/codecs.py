@@ -4,9 +4,16 @@ from __future__ import annotations
 
 from tunenet_logs.formats.base import RawChannel
 from tunenet_logs.formats.codec import Codec, Decode, UnusableError
+from tunenet_logs.formats.json_messages import json_decoder
+from tunenet_logs.formats.protobuf import protobuf_decoder
 from tunenet_logs.formats.ros import cdr_decoder, ros1_decoder
 
-CODECS: dict[str, Codec] = {"cdr": cdr_decoder, "ros1": ros1_decoder}
+CODECS: dict[str, Codec] = {
+    "cdr": cdr_decoder,
+    "ros1": ros1_decoder,
+    "protobuf": protobuf_decoder,
+    "json": json_decoder,
+}
 
 
 def check_encoding(channel: RawChannel) -> None:

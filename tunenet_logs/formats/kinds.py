@@ -17,7 +17,8 @@ from tunenet_logs.formats.ros import ros_name
 Place = tuple[int, str, float, float, float]
 """Stamp [ns] (0: not set), what it is the place of ("": the topic's own), x, y, z [m]."""
 
-_STAMP_FIELDS = (("sec", "nanosec"), ("seconds", "nanos"), ("sec", "nsec"), ("secs", "nsecs"))
+STAMP_FIELDS = (("sec", "nanosec"), ("seconds", "nanos"), ("sec", "nsec"), ("secs", "nsecs"))
+"""What ROS 2, protobuf, Foxglove's JSON and ROS 1 call the parts of a time."""
 
 
 @dataclass(frozen=True)
@@ -77,18 +78,22 @@ Kind = Positions | Joints | Pictures
 
 def kind_of(channel: RawChannel) -> Kind | None:
     """What a channel's type holds; None if nothing that is used."""
-    name = ros_name(channel.type_name)
-    package, _, plain = name.rpartition("/msg/")
-    if package in ("foxglove_msgs", "foxglove"):
-        name = f"foxglove.{plain}"
+    name = type_key(channel.type_name)
     if name in _KINOVA:
         return _kinova(channel.topic if name.endswith("Angles") else name)
     return _KINDS.get(name)
 
 
+def type_key(type_name: str) -> str:
+    """A type by the one name that it goes by here, however ROS 1, ROS 2 or Foxglove write it."""
+    name = ros_name(type_name)
+    package, _, plain = name.rpartition("/msg/")
+    return f"foxglove.{plain}" if package in ("foxglove_msgs", "foxglove") else name
+
+
 def time_ns(time: Any) -> int:
     """A time of ROS, protobuf or JSON [ns]."""
-    for whole, part in _STAMP_FIELDS:
+    for whole, part in STAMP_FIELDS:
         if hasattr(time, whole) and hasattr(time, part):
             return int(getattr(time, whole)) * 1_000_000_000 + int(getattr(time, part))
     raise ValueError("it holds no time that is understood")

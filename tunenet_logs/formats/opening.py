@@ -7,8 +7,10 @@ from pathlib import Path
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import LogError
 from tunenet_logs.formats.base import Container
+from tunenet_logs.formats.csv_table import read_csv
 from tunenet_logs.formats.mcap_container import MAGIC as MCAP_MAGIC
 from tunenet_logs.formats.mcap_container import read_mcap
+from tunenet_logs.formats.tables.lines import SUFFIXES, is_table
 from tunenet_logs.formats.video import read_video
 
 _CONTAINERS: dict[bytes, Container] = {MCAP_MAGIC: read_mcap}
@@ -47,9 +49,15 @@ def _start_of(path: Path) -> bytes:
 
 
 def _read_foreign(path: Path) -> Episode:
-    """A file that is no MCAP: a video, or nothing that is read here."""
+    """A file of no messages: a table, a video, or nothing that is read here."""
+    try:
+        if is_table(path):
+            return read_csv(path)
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read ({error.strerror})") from error
     try:
         return read_video(path)
     except LogError as error:
         why = str(error).removeprefix(f"{path}: ")
-        raise LogError(f"{path}: is not an MCAP log; {why}") from error
+        known = f"an MCAP log, a table ({', '.join(SUFFIXES)}) or a video"
+        raise LogError(f"{path}: is not {known}: it {why}") from error

@@ -1,0 +1,266 @@
+"""Tables as people and tools write them, and what is none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from analysis.tuning import Options, tune_log
+from tests.strangers import Stranger, write_table
+from tunenet_logs.episode import Episode
+from tunenet_logs.errors import LogError, TuneNetError
+from tunenet_logs.formats.tables import lines
+from tunenet_logs.formats.tables.times import exact_ns
+from tunenet_logs.reader import read_episode
+
+
+def read(tmp_path: Path, text: str | bytes, name: str = "a.csv") -> Episode:
+    path = tmp_path / name
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return read_episode(path)
+
+
+def one(tmp_path: Path, text: str | bytes, name: str = "a.csv"):
+    (signal,) = read(tmp_path, text, name).signals.values()
+    return signal
+
+
+XYZ = [[1, 2, 3], [4, 5, 6.5]]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "t,x,y,z\n0.5,1,2,3\n1,4,5,6.5\n",
+        "\ufefft,x,y,z\r\n0.5,1,2,3\r\n1,4,5,6.5\r\n",
+        "t;x;y;z\n0,5;1;2;3\n1,0;4;5;6,5\n",
+        "t\tx\ty\tz\n0,5\t1\t2\t3\n1\t4\t5\t6,5",
+        "t x y z\n0.5 1 2 3\n1  4 5 6.5\n",
+        '"t" , "x","y" ,"z"\n"0.5",1, 2 ,3\n1,4,5,6.5\n',
+        "# by hand\nt,x,y,z\n# first\n0.5,1,2,3\n\n1,4,5,6.5\n# end\n",
+        "# t x y z\n0.5 1 2 3\n1 4 5 6.5\n",
+        "mass A\nt,x,y,z\n0.5,1,2,3\n1,4,5,6.5\n",
+        "frame,t,x,y,z,\n1,0.5,1,2,3,\n2,1,4,5,6.5,\n",
+        "t,x,y,z\r0.5,1,2,3\r1,4,5,6.5",
+        "time_ms,x_mm,y_mm,z_mm\n500,1000,2000,3000\n1000,4000,5000,6500\n",
+        "Time (ms),X [cm],Y [cm],Z [m]\n500,100,200,3\n1000,400,500,6.5\n",
+        "stamp_us,pos_x,pos_y,pos_z\n500000,1,2,3\n1000000,4,5,6.5\n",
+        "timestamp_ns,position.x,position.y,position.z\n500000000,1,2,3\n1000000000,4,5,6.5\n",
+        "sec,nanosec,x_pos,y_pos,z_pos\n0,500000000,1,2,3\n1,0,4,5,6.5\n",
+        "secs,nsecs,x,y,z\n0,500000000,1,2,3\n1,0,4,5,6.5\n",
+        "header.stamp.sec,header.stamp.nanosec,pose.position.x,pose.position.y,pose.position.z,"
+        "pose.orientation.x\n0,500000000,1,2,3,0\n1,0,4,5,6.5,0\n",
+        "%time,field.header.seq,field.header.stamp,field.header.frame_id,field.pose.position.x,"
+        "field.pose.position.y,field.pose.position.z\n"
+        "9000000000,1,500000000,map,1,2,3\n9500000000,2,1000000000,map,4,5,6.5\n",
+        "__time,x,y,z,vx,qw,velocity.x,orientation.z\n0.5,1,2,3,0,0,0,0\n1,4,5,6.5,0,0,0,0\n",
+        "rosbagTimestamp,posX,posY,posZ\n500000000,1,2,3\n1000000000,4,5,6.5\n",
+    ],
+)
+def test_a_track_however_it_is_written(tmp_path: Path, text: str):
+    signal = one(tmp_path, text)
+    assert (signal.name, signal.columns, signal.unit) == ("track", ("x", "y", "z"), "m")
+    assert signal.stamps_ns.tolist() == [500_000_000, 1_000_000_000]
+    np.testing.assert_allclose(signal.values, XYZ, rtol=1e-15)
+
+
+def test_utf16_as_spreadsheets_call_unicode(tmp_path: Path):
+    signal = one(tmp_path, "t\tx\n0\t1\n1\t2\n".encode("utf-16"), "a.TXT")
+    assert signal.values.tolist() == [[1, 0, 0], [2, 0, 0]]
+
+
+@pytest.mark.parametrize("name", ["z", "height", "height_m", "Height (m)", "z_m"])
+def test_a_height_alone_is_a_track(tmp_path: Path, name: str):
+    assert one(tmp_path, f"t,{name}\n0,1.5\n").values.tolist() == [[0, 0, 1.5]]
+
+
+def test_several_things_by_their_names(tmp_path: Path):
+    text = "__time,/ball/pose/pose/position/x,/ball/pose/header/stamp,hand_x,x1,y1\n"
+    rows = "1.5,1,1.25,,,\n2.5,,,2,3,4\n3.5,5,3.25,,,\n"
+    signals = read(tmp_path, text + rows).signals
+    assert set(signals) == {"ball", "hand", "track1"}
+    assert signals["ball"].stamps_ns.tolist() == [1_250_000_000, 3_250_000_000]
+    assert signals["hand"].stamps_ns.tolist() == [2_500_000_000]
+    assert signals["track1"].values.tolist() == [[3, 4, 0]]
+
+
+def test_torques_positions_and_velocities_of_joints(tmp_path: Path):
+    text = "t,joint1_effort,elbow_torque_Nm,tau_3,joint1_angle_deg,LF_HAA.vel,qd_2 (rad/s)\n"
+    signals = read(tmp_path, text + "0,1,2,3,180,5,6\n1,1,,nan,90,5,6\n").signals
+    effort = signals["joints.effort"]
+    assert (effort.columns, effort.unit) == (("joint1", "elbow", "joint3"), "N·m")
+    assert np.array_equal(effort.values, [[1, 2, 3], [1, np.nan, np.nan]], equal_nan=True)
+    np.testing.assert_allclose(signals["joints.position"].values, [[np.pi], [np.pi / 2]])
+    assert signals["joints.velocity"].columns == ("LF_HAA", "joint2")
+    assert [one.unit for one in signals.values()].count("rad/s") == 1
+
+
+@pytest.mark.parametrize(
+    ("header", "column"),
+    [
+        ("t,/joint_states/joint1/effort", "joint1"),
+        ("t,/joint_states/effort[1]", "joint1"),
+        ("t,field.effort1", "joint1"),
+        ("t,effort_1", "joint1"),
+        ("t,joint_1_effort", "joint1"),
+        ("t,shoulder_lift_joint.effort", "shoulder_lift_joint"),
+        ("t,effort", "joint1"),
+    ],
+)
+def test_names_of_joints(tmp_path: Path, header: str, column: str):
+    signal = one(tmp_path, f"{header}\n0,1.5\n")
+    assert (signal.name, signal.columns) == ("joints.effort", (column,))
+
+
+def test_names_of_joints_that_rostopic_writes_beside(tmp_path: Path):
+    text = "%time,field.name0,field.name1,field.effort0,field.effort1\n5,elbow,wrist,1,2\n"
+    assert one(tmp_path, text).columns == ("elbow", "wrist")
+
+
+@pytest.mark.parametrize(
+    ("column", "reason"),
+    [("ball_x_px", "pixels"), ("quat_x", "no position"), ("mood", "name"), ("lift_pos_m", "unit")],
+)
+def test_columns_that_are_not_used_say_why(tmp_path: Path, column: str, reason: str):
+    channels = {one.topic: one for one in read(tmp_path, f"t,z,{column}\n0,1,2\n").channels}
+    assert reason in (channels[column].skipped or "")
+    assert channels["track"].messages == 1
+    assert channels["track"].skipped is None
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("t,u,v\n0,1,2\n", "pixels"),
+        ("t,x_px,y_px\n0,1,2\n", "pixels"),
+        ("0,1,2\n1,2,3\n", "no line that names its columns.*t,x,y,z"),
+        ("x,y,z\n1,2,3\n", "no line names a column of times.*t,x,y,z"),
+        ("just a text\n", "times"),
+        ("t,x,y,z\n", "no row"),
+        ("t,x,y,z\na,b,c,d\n", "none of its 1 rows"),
+        ("t,x,x\n0,1,2\n", "several columns"),
+        ("t,position\n0,1\n", "of what"),
+        ("\n\n", "columns"),
+        (",,R,R,P,P\nFrame,Time (Seconds),X,Y,X,Y\n0,0,1,2,3,4\n", "several columns"),
+    ],
+)
+def test_what_cannot_be_used_is_one_clear_error(tmp_path: Path, text: str, says: str):
+    with pytest.raises(LogError, match=says) as caught:
+        read(tmp_path, text)
+    assert str(tmp_path / "a.csv") in str(caught.value)
+
+
+@pytest.mark.parametrize("row", ["", "x,1,2,3", "1,1", "1,1,2,x", "1,,2,3", ",1,2,3", "1,2,3,4,5"])
+def test_rows_that_cannot_be_read_are_counted(tmp_path: Path, row: str):
+    episode = read(tmp_path, f"t,x,y,z\n0,1,2,3\n{row}\n2,4,5,6\n")
+    assert len(episode.signals["track"].values) == 2
+    assert any("1 of 3 rows" in loss for loss in episode.losses) == bool(row)
+    assert episode.warnings[: len(episode.losses)] == episode.losses
+
+
+def test_a_quote_that_is_not_closed_costs_one_row(tmp_path: Path):
+    rows = "".join(f"{n},1,2,3\n" for n in range(50))
+    episode = read(tmp_path, 't,x,y,z\n-1,"1,2,3\n' + rows)
+    assert len(episode.signals["track"].values) == 50
+
+
+def test_disorder_and_duplicates_are_put_right(tmp_path: Path):
+    episode = read(tmp_path, "t,z\n0,1\n0.2,3\n0.1,2\n0.1,2\n")
+    assert episode.signals["track"].values[:, 2].tolist() == [1, 2, 3]
+    assert any("sorted" in one for one in episode.warnings)
+    assert any("already seen" in one for one in episode.warnings)
+
+
+def test_times_before_zero_begin_at_zero(tmp_path: Path):
+    episode = read(tmp_path, "t,z\n-0.5,1\n0.1,2\n")
+    assert episode.signals["track"].stamps_ns.tolist() == [0, 600_000_000]
+    assert any("-0.5 s" in one for one in episode.warnings)
+
+
+@pytest.mark.parametrize(
+    ("text", "power", "nanoseconds"),
+    [
+        ("1700000000.123456789", 0, 1_700_000_000_123_456_789),
+        ("1700000000123456789", -9, 1_700_000_000_123_456_789),
+        ("1700000000123456.789", -6, 1_700_000_000_123_456_789),
+        ("1.700000000123456789e9", 0, 1_700_000_000_123_456_789),
+        ("0.1", -9, 0),
+    ],
+)
+def test_times_are_exact(text: str, power: int, nanoseconds: int):
+    assert exact_ns(text, power) == nanoseconds
+
+
+@pytest.mark.parametrize(
+    "text", ["", "x", "nan", "inf", "1e999999999", "9" * 30, "9" * 1000, "1e20"]
+)
+def test_what_is_no_time_is_refused(text: str):
+    with pytest.raises(ValueError):  # noqa: PT011 (no user sees it)
+        exact_ns(text, 0)
+
+
+@pytest.mark.parametrize("digits", ["", "123", "123456", "123456789"])
+def test_units_of_times_since_1970_go_by_their_size(tmp_path: Path, digits: str):
+    signal = one(tmp_path, f"t,z\n1700000000{digits},1\n")
+    assert signal.stamps_ns[0] // 10**9 == 1_700_000_000
+
+
+def test_a_doubtful_unit_is_named(tmp_path: Path):
+    assert any("unit" in one for one in read(tmp_path, "t,z\n0,1\n8,2\n16,3\n").warnings)
+    assert not read(tmp_path, "t_ms,z\n0,1\n8,2\n16,3\n").warnings
+
+
+def test_a_drop_in_millimetres_with_decimal_commas_tunes(tmp_path: Path):
+    stamps, positions = Stranger(0.7).samples()
+    write_table(tmp_path / "a.csv", stamps, positions)
+    rows = [
+        f"{(stamp - stamps[0]) / 1e6:.3f};{1000 * z:.3f}".replace(".", ",")
+        for stamp, (_, _, z) in zip(stamps, positions, strict=True)
+    ]
+    (tmp_path / "b.csv").write_text("time_ms;height_mm\n" + "\n".join(rows))
+    tuned = [tune_log(tmp_path / name, Options()) for name in ("a.csv", "b.csv")]
+    values = [float(one.estimate[0]) for one in tuned if one.estimate is not None]
+    assert values == pytest.approx([0.7, 0.7], abs=0.01)
+    assert tuned[1].verdict == "ok"
+
+
+def test_sizes_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    episode = read(tmp_path, "t,z\n0,1\n" + "1" * (3 * 2**20) + "\n1,2\n")
+    assert len(episode.signals["track"].values) == 2
+    assert any("1 of 3 rows" in loss for loss in episode.losses)
+    with pytest.raises(LogError, match="names a column"):
+        read(tmp_path, "t," * 6000)
+    monkeypatch.setattr(lines, "_MOST_BYTES", 10)
+    with pytest.raises(LogError, match="1 GiB"):
+        read(tmp_path, "t,z\n0,1\n1,2\n")
+
+
+def test_what_is_no_text_is_no_table(tmp_path: Path):
+    with pytest.raises(LogError, match=r"is not an MCAP log, a table \(.csv"):
+        read(tmp_path, b"\0\1\2" * 100)
+
+
+@settings(
+    max_examples=500, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(st.data())
+def test_any_table_gives_only_our_errors(tmp_path: Path, data: st.DataObject):
+    words = ["t", "x", "z", "time_ms", "sec", "nsec", "header.stamp", "effort1", "q", "u", "v", '"']
+    cells = st.sampled_from(
+        [*words, "0", "1.5", "-1", "1e400", "nan", "", " ", "1,5", "#", "%", "9" * 400, "é\0", "_1"]
+    )
+    header = data.draw(st.lists(st.sampled_from(words), max_size=5))
+    rows = data.draw(st.lists(st.lists(cells, max_size=6), max_size=6))
+    separator = data.draw(st.sampled_from([",", ";", "\t", " "]))
+    text = "\n".join(separator.join(row) for row in [header, *rows]).encode()
+    text += data.draw(st.binary(max_size=30))
+    try:
+        episode = read(tmp_path, text, data.draw(st.sampled_from(["a.csv", "a.TSV", "a.txt"])))
+    except TuneNetError:
+        return
+    assert episode.signals
+    assert all(np.all(np.diff(one.stamps_ns) > 0) for one in episode.signals.values())

@@ -1,0 +1,149 @@
+"""JSON messages of ROS and Foxglove types: bounded, and every field of the type that it must be."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+from functools import partial
+from types import SimpleNamespace
+from typing import Any, NoReturn
+
+import numpy as np
+
+from tunenet_logs.formats.base import DAMAGED, RawChannel, described
+from tunenet_logs.formats.codec import Decode, MessageError, UnusableError
+from tunenet_logs.formats.kinds import STAMP_FIELDS
+from tunenet_logs.formats.shapes import Fields, Leaf, Many, Shape, shape_of
+
+_SCHEMAS = ("jsonschema", "")
+_MOST_BYTES = 16 * 1024 * 1024
+"""Of one message: three bytes of it may become an object of ninety."""
+
+_MOST_DEPTH = 64
+_STEPS = np.zeros(256, np.int8)
+_STEPS[list(b"[{")] = 1
+_STEPS[list(b"]}")] = -1
+
+
+def json_decoder(channel: RawChannel) -> Decode:
+    """For JSON; see `codec.Codec`. The schema is not needed: each message is checked by itself."""
+    if channel.schema_encoding not in _SCHEMAS:
+        raise UnusableError(
+            f"schema encoding {channel.schema_encoding[:20]!r} is not read (only jsonschema)"
+        )
+    return partial(_decode, shape_of(channel))
+
+
+def _decode(shape: Fields, data: bytes | memoryview) -> Any:
+    if len(data) > _MOST_BYTES:
+        raise MessageError(f"a message of {len(data)} bytes is over the limit of {_MOST_BYTES}")
+    raw = bytes(data)
+    if _is_deep(raw):
+        raise MessageError(f"a message is nested more than {_MOST_DEPTH} deep")
+    try:
+        return _built(json.loads(raw.decode(), parse_constant=_refuse), shape)
+    except DAMAGED as error:
+        raise MessageError(f"a message is damaged: {described(error)}") from error
+
+
+def _refuse(name: str) -> NoReturn:
+    raise ValueError(f"{name} is not JSON")
+
+
+def _is_deep(raw: bytes) -> bool:
+    """Whether brackets outside texts are nested deeper than any message; the parser recurses."""
+    if raw.count(b"[") + raw.count(b"{") <= _MOST_DEPTH:
+        return False
+    bare = b"".join(raw.replace(b"\\\\", b"").replace(b'\\"', b"").split(b'"')[::2])
+    depths = np.cumsum(_STEPS[np.frombuffer(bare, np.uint8)], dtype=np.int32)
+    return bool(depths.size and depths.max() > _MOST_DEPTH)
+
+
+def _built(value: Any, shape: Shape) -> Any:
+    """An object with the fields of a shape.
+
+    Raises:
+        ValueError: one is missing, or is something else.
+    """
+    if isinstance(shape, Fields):
+        if not isinstance(value, dict):
+            raise ValueError("no object where one must be")
+        return SimpleNamespace(
+            **{name: _field(value, name, inner) for name, inner in shape.fields.items()}
+        )
+    if isinstance(shape, Many):
+        if not isinstance(value, list):
+            raise ValueError("no list where one must be")
+        return [_built(one, shape.of) for one in value]
+    built = _LEAVES[shape](value)
+    if built is None and shape is not Leaf.OPTIONAL:
+        raise ValueError(f"something else where {shape.value} must be")
+    return built
+
+
+def _field(value: dict[str, Any], name: str, shape: Shape) -> Any:
+    if name in value:
+        return _built(value[name], shape)
+    if shape is Leaf.OPTIONAL:
+        return None
+    raise ValueError(f"it has no {name!r}")
+
+
+def _number(value: Any) -> float | None:
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return None
+    number = float(value)
+    return number if math.isfinite(number) else None  # 1e999 reads as infinity
+
+
+def _optional(value: Any) -> float | None:
+    if value is None:
+        return None
+    number = _number(value)
+    if number is None:
+        raise ValueError("something else where a number must be")
+    return number
+
+
+def _whole(value: Any) -> int | None:
+    number = _number(value)
+    return int(value) if number is not None and number.is_integer() else None
+
+
+def _flag(value: Any) -> bool | None:
+    return bool(value) if value in (0, 1) else None
+
+
+def _text(value: Any) -> str | None:
+    return value if isinstance(value, str) else None
+
+
+def _data(value: Any) -> bytes | None:
+    """Bytes as Foxglove and rosbridge write them: base64, or a list of numbers."""
+    if isinstance(value, str):
+        return base64.b64decode(value, validate=True)
+    return bytes(value) if isinstance(value, list) else None
+
+
+def _time(value: Any) -> SimpleNamespace | None:
+    if not isinstance(value, dict):
+        return None
+    for names in STAMP_FIELDS:
+        if all(name in value for name in names):
+            seconds, nanoseconds = (_whole(value[name]) for name in names)
+            if seconds is None or nanoseconds is None or not 0 <= nanoseconds < 10**9:
+                return None
+            return SimpleNamespace(sec=seconds, nanosec=nanoseconds)
+    return None
+
+
+_LEAVES = {
+    Leaf.NUMBER: _number,
+    Leaf.OPTIONAL: _optional,
+    Leaf.WHOLE: _whole,
+    Leaf.FLAG: _flag,
+    Leaf.TEXT: _text,
+    Leaf.DATA: _data,
+    Leaf.TIME: _time,
+}

@@ -1,0 +1,113 @@
+"""The fields that are read of each type, for encodings whose messages prove nothing.
+
+A ROS message decodes only by the definition that we know. A protobuf schema can call anything a
+`foxglove.PoseInFrame`, and JSON can hold anything: there the fields are checked against these.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+
+from tunenet_logs.formats.base import RawChannel
+from tunenet_logs.formats.codec import UnusableError
+from tunenet_logs.formats.kinds import type_key
+
+
+class Leaf(Enum):
+    """A field without fields of its own; the value says what it is, for a message."""
+
+    NUMBER = "a number"
+    OPTIONAL = "a number that may be absent"
+    WHOLE = "a whole number"
+    FLAG = "true, false, 1 or 0"
+    TEXT = "a text"
+    DATA = "bytes"
+    TIME = "a time in seconds and nanoseconds"
+
+
+@dataclass(frozen=True)
+class Fields:
+    """A message with fields."""
+
+    fields: Mapping[str, Shape]
+
+
+@dataclass(frozen=True)
+class Many:
+    """A list of one shape."""
+
+    of: Shape
+
+
+Shape = Leaf | Fields | Many
+
+
+def shape_of(channel: RawChannel) -> Fields:
+    """What must be in the channel's messages.
+
+    Raises:
+        UnusableError: its type is not read in this encoding.
+    """
+    shape = _SHAPES.get(type_key(channel.type_name))
+    if shape is None:
+        raise UnusableError(f"its type is not read in {channel.encoding}")
+    return shape
+
+
+def _fields(**fields: Shape) -> Fields:
+    return Fields(fields)
+
+
+_POINT = _fields(x=Leaf.NUMBER, y=Leaf.NUMBER, z=Leaf.NUMBER)
+_POSE = _fields(position=_POINT)
+_HEADER = _fields(stamp=Leaf.TIME)
+_ROS_TRANSFORM = _fields(
+    header=_HEADER, child_frame_id=Leaf.TEXT, transform=_fields(translation=_POINT)
+)
+_TRANSFORM = _fields(timestamp=Leaf.TIME, child_frame_id=Leaf.TEXT, translation=_POINT)
+_JOINT = _fields(
+    name=Leaf.TEXT, position=Leaf.OPTIONAL, velocity=Leaf.OPTIONAL, effort=Leaf.OPTIONAL
+)
+_PIXELS: dict[str, Shape] = {
+    "width": Leaf.WHOLE,
+    "height": Leaf.WHOLE,
+    "encoding": Leaf.TEXT,
+    "step": Leaf.WHOLE,
+    "data": Leaf.DATA,
+}
+_PICTURE = _fields(timestamp=Leaf.TIME, format=Leaf.TEXT, data=Leaf.DATA)
+_KINOVA = Fields({f"joint{number}": Leaf.NUMBER for number in range(1, 8)})
+
+_SHAPES: dict[str, Fields] = {
+    "geometry_msgs/msg/PoseStamped": _fields(header=_HEADER, pose=_POSE),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": _fields(
+        header=_HEADER, pose=_fields(pose=_POSE)
+    ),
+    "geometry_msgs/msg/PointStamped": _fields(header=_HEADER, point=_POINT),
+    "geometry_msgs/msg/TransformStamped": _ROS_TRANSFORM,
+    "nav_msgs/msg/Odometry": _fields(header=_HEADER, pose=_fields(pose=_POSE)),
+    "tf2_msgs/msg/TFMessage": _fields(transforms=Many(_ROS_TRANSFORM)),
+    "foxglove.PoseInFrame": _fields(timestamp=Leaf.TIME, pose=_POSE),
+    "foxglove.Point3InFrame": _fields(timestamp=Leaf.TIME, point=_POINT),
+    "foxglove.Odometry": _fields(timestamp=Leaf.TIME, pose=_POSE),
+    "foxglove.FrameTransform": _TRANSFORM,
+    "foxglove.FrameTransforms": _fields(transforms=Many(_TRANSFORM)),
+    "sensor_msgs/msg/JointState": _fields(
+        header=_HEADER,
+        name=Many(Leaf.TEXT),
+        position=Many(Leaf.NUMBER),
+        velocity=Many(Leaf.NUMBER),
+        effort=Many(Leaf.NUMBER),
+    ),
+    "foxglove.JointStates": _fields(timestamp=Leaf.TIME, joints=Many(_JOINT)),
+    "kinova_msgs/msg/JointAngles": _KINOVA,
+    "kinova_msgs/msg/JointTorque": _KINOVA,
+    "kinova_msgs/msg/JointVelocity": _KINOVA,
+    "sensor_msgs/msg/CompressedImage": _fields(header=_HEADER, format=Leaf.TEXT, data=Leaf.DATA),
+    "sensor_msgs/msg/Image": Fields({"header": _HEADER, "is_bigendian": Leaf.FLAG, **_PIXELS}),
+    "foxglove.CompressedImage": _PICTURE,
+    "foxglove.CompressedVideo": _PICTURE,
+    "foxglove.RawImage": Fields({"timestamp": Leaf.TIME, **_PIXELS}),
+}

@@ -1,0 +1,91 @@
+"""The lines of a text file and the cells of a line, both bounded."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from math import isfinite
+from pathlib import Path
+
+from tunenet_logs.errors import LogError
+
+SUFFIXES = (".csv", ".tsv", ".txt")
+SEPARATORS = ("\t", ";", ",", None)
+"""In the order in which they are tried; None is white space."""
+
+_MOST_BYTES = 1024**3
+_MOST_LINE = 1024**2
+_UTF16 = (b"\xff\xfe", b"\xfe\xff")
+_NUMBERLESS = frozenset(("", "-", "null", "none", "na", "n/a"))
+
+
+def is_table(path: Path) -> bool:
+    """Whether a file is text, by its name and its first bytes.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    if path.suffix.lower() not in SUFFIXES:
+        return False
+    with open(path, "rb") as file:
+        start = file.read(4096)
+    return start.startswith(_UTF16) or b"\0" not in start
+
+
+def lines_of(path: Path) -> Iterator[str | None]:
+    """The lines without their ends; None for one that is too long for any table.
+
+    Raises:
+        LogError: the file is too large.
+        OSError: it cannot be read.
+    """
+    size = path.stat().st_size
+    if size > _MOST_BYTES:
+        raise LogError(f"{path}: is a table of {size} bytes, over the limit of 1 GiB; split it")
+    with open(path, "rb") as file:
+        encoding = "utf-16" if file.read(2) in _UTF16 else "utf-8-sig"
+    with open(path, encoding=encoding, errors="replace") as file:
+        while line := file.readline(_MOST_LINE):
+            whole = line.endswith("\n") or len(line) < _MOST_LINE
+            while not line.endswith("\n") and len(line) == _MOST_LINE:
+                line = file.readline(_MOST_LINE)
+            yield line.rstrip("\n") if whole else None
+
+
+def cells_of(line: str, separator: str | None) -> list[str]:
+    """The cells of a line; none where it is no line of a table.
+
+    A cell never spans lines: a quote that is not closed must not swallow the rest of a file.
+    """
+    if separator is None:
+        return line.split()
+    if '"' not in line:
+        return line.split(separator)
+    try:
+        return next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
+    except csv.Error:
+        return []
+
+
+def plain(cell: str, separator: str | None) -> str:
+    """A number's text with a decimal point."""
+    if separator != "," and "," in cell and "." not in cell:
+        cell = cell.replace(",", ".")
+    return cell.strip()
+
+
+def number_of(cell: str, separator: str | None) -> float:
+    """A number; NaN where a cell is empty or says that there is none.
+
+    Raises:
+        ValueError: it is something else.
+    """
+    try:
+        value = float(cell)
+    except ValueError:
+        value = _from_words(plain(cell, separator))
+    return value if isfinite(value) else float("nan")
+
+
+def _from_words(text: str) -> float:
+    return float("nan") if text.lower() in _NUMBERLESS else float(text)

@@ -1,0 +1,89 @@
+"""What a column of a table can mean."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+Words = tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Time:
+    """A time.
+
+    Attributes:
+        power: its unit as a power of ten of a second; None where the name does not say.
+        scope: the words before it: what it is the time of.
+        is_header: whether it is when a sample was taken, not when it arrived.
+        part: "sec" or "nanosec" where another column may hold the rest.
+    """
+
+    power: int | None
+    scope: Words = ()
+    is_header: bool = False
+    part: str = ""
+
+
+@dataclass(frozen=True)
+class Place:
+    """The place of a thing along an axis (0 to 2), in units of `scale` m.
+
+    Attributes:
+        is_height: whether it is called a height, not an axis.
+    """
+
+    thing: str
+    axis: int
+    scale: float
+    is_height: bool = False
+
+
+@dataclass(frozen=True)
+class JointValue:
+    """One quantity of one joint, in units of `scale` rad, rad/s or N·m.
+
+    Attributes:
+        group: the robot, or "joints".
+        label: the joint.
+        quantity: "effort", "position" or "velocity".
+        number: the digits in the name where it says no more of the joint.
+        is_bare: whether it says nothing of the joint.
+    """
+
+    group: str
+    label: str
+    quantity: str
+    scale: float
+    number: str = ""
+    is_bare: bool = False
+
+
+@dataclass(frozen=True)
+class JointName:
+    """A column of texts: the name of the joint of that number."""
+
+    number: str
+
+
+@dataclass(frozen=True)
+class Unused:
+    """A column that is not used, and why."""
+
+    reason: str
+
+
+Meaning = Time | Place | JointValue | JointName | Unused
+
+
+def words_of(name: str, *, camel: bool) -> Words:
+    """The words of a name: what stands between underscores, slashes, dots, brackets, spaces."""
+    name = name.replace("°", "deg").replace("µ", "u").replace("μ", "u")
+    if camel:
+        name = re.sub(r"([a-z0-9])([A-Z])", r"\1_\2", name)
+    return tuple(word for word in re.split(r"[\W_]+", name) if word)
+
+
+def lowered(words: Words) -> Words:
+    """The same in small letters."""
+    return tuple(word.lower() for word in words)
