@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from analysis.estimators.base import Problem, Step, Trace
 from analysis.estimators.tunenet import TuneNet
-from analysis.observe.quality import Check
+from analysis.observe.quality import Check, log_checks
 from analysis.tasks import TASKS, task_for
 from analysis.tasks.base import CrossCheck, Preset, Selection, Task
 from analysis.tunenet.checkpoint import load_model, shipped_model
@@ -133,7 +133,7 @@ def tune_log(path: Path, options: Options) -> Tuning:
         return replace(rejected, reason=str(error).removeprefix(f"{path}: "))
     watch.lap("observe")
     trace = _with_last_look(TuneNet(model).estimate(problem, options.iterations), problem)
-    checks = task.checks(found, trace.steps[-1])
+    checks = (*log_checks(episode), *task.checks(found, trace.steps[-1]))
     cross_check = task.cross_check(found, trace.estimate)
     watch.lap("tune")
     verdict, reason = _judge(checks, cross_check)

@@ -17,9 +17,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-from mcap.reader import make_reader
-from mcap.writer import Writer
 
+from tests.strangers import without_chunks
 from tunenet_logs.checking import check
 from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.errors import TuneNetError
@@ -45,23 +44,6 @@ def write_log(path: Path, *, samples: int, pictures: int) -> None:
             pixels = rng.integers(0, 255, (24, 32, 3), np.uint8)
             data = cv2.imencode(".jpg", pixels)[1].tobytes()
             out.write_frame("/camera/image_raw/compressed", Frame(index * 10**7, "jpeg", data))
-
-
-def without_chunks(source: Path, path: Path) -> None:
-    """The same messages outside chunks, with the data checksum that our writer sets."""
-    with source.open("rb") as read, path.open("wb") as file:
-        writer = Writer(file, use_chunking=False, enable_data_crcs=True)
-        writer.start("ros2")
-        channels: dict[int, int] = {}
-        for schema, channel, message in make_reader(read).iter_messages():
-            assert schema is not None
-            if channel.id not in channels:
-                number = writer.register_schema(schema.name, schema.encoding, schema.data)
-                channels[channel.id] = writer.register_channel(channel.topic, "cdr", number)
-            writer.add_message(
-                channels[channel.id], message.log_time, message.data, message.publish_time
-            )
-        writer.finish()
 
 
 def contents(path: Path) -> tuple[Contents, bool]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -192,3 +193,20 @@ WRITERS: dict[str, Callable[[Path, np.ndarray, np.ndarray], None]] = {
     "table.csv": write_table,
 }
 """Writers of the same positions, by the name of a file."""
+
+
+def without_chunks(source: Path, path: Path) -> None:
+    """The same messages outside chunks, with the data checksum that our writer sets."""
+    with source.open("rb") as read, path.open("wb") as file:
+        writer = Writer(file, use_chunking=False, enable_data_crcs=True)
+        writer.start("ros2")
+        channels: dict[int, int] = {}
+        for schema, channel, message in make_reader(read).iter_messages():
+            assert schema is not None
+            if channel.id not in channels:
+                number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.id] = writer.register_channel(channel.topic, "cdr", number)
+            writer.add_message(
+                channels[channel.id], message.log_time, message.data, message.publish_time
+            )
+        writer.finish()

@@ -186,6 +186,7 @@ class Episode:
         channels: every channel of the log, those that were skipped too.
         warnings: what was lost, repaired or doubtful on the way, in words.
         losses: those of them that mean damage: where it is, and how much was lost.
+        tainted: why samples that were read may be wrong; "" where nothing speaks for that.
         open_frames: opens a fresh iterator over the frames of one of `picture_topics`.
     """
 
@@ -194,6 +195,7 @@ class Episode:
     channels: tuple[Channel, ...] = ()
     warnings: tuple[str, ...] = ()
     losses: tuple[str, ...] = ()
+    tainted: str = ""
     open_frames: Callable[[str], Iterator[Frame]] | None = None
 
     @property

@@ -148,7 +148,8 @@ class _Gathered:
             signals=signals,
             channels=tuple(one.summary() for one in topics),
             warnings=(*_in_words(losses), *damaged, *notes),
-            losses=tuple(str(one) for one in losses if not one.harmless) + tuple(damaged),
+            losses=(*(str(one) for one in losses if not one.harmless), *damaged),
+            tainted=next((str(one) for one in losses if one.taints), ""),
             open_frames=partial(_frames, path, container, by_log),
         )
 

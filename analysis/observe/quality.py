@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from analysis.observe.base import Observation
 from analysis.observe.free_fall import Drop
+from tunenet_logs.episode import Episode
 
 Array = NDArray[np.float64]
 
@@ -35,6 +36,12 @@ class Check:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "passed", bool(self.passed))  # NumPy's bool is no JSON
+
+
+def log_checks(episode: Episode) -> tuple[Check, ...]:
+    """What the file tells: a log whose samples may have been changed cannot be trusted."""
+    detail = episode.tainted or "no sample that was read is known to be damaged"
+    return (Check("samples as they were recorded", not episode.tainted, detail),)
 
 
 def recording_checks(drop: Drop, sideways_m: Array, most_gap_falls: float = 0.0) -> list[Check]:

@@ -14,7 +14,7 @@ from analysis.tuning import Options, Tuning, tune_log
 from recorders.session import record_episode
 from recorders.simulated_drop import DropOrder, simulate_drop
 from tests.conftest import record
-from tests.strangers import Stranger, bounce_heights, write_poses
+from tests.strangers import Stranger, bounce_heights, without_chunks, write_poses
 from tunenet_logs.episode import Episode, EpisodeInfo
 from tunenet_logs.progress import Progress
 
@@ -321,3 +321,17 @@ def test_a_clock_that_jumps_is_not_simulated_across(tmp_path: Path):
     look = tuning.trace.steps[0].look
     assert look is not None
     assert len(look.episode.signals["/ball/pose"].stamps_ns) < 10_000
+
+
+def test_samples_that_may_have_been_changed_make_a_tuning_suspect(tmp_path: Path):
+    """A flipped bit in a log without chunks: only the checksum of all data tells."""
+    source = record(tmp_path / "a.mcap", restitution=0.7, height_m=1.0)
+    plain = tmp_path / "plain.mcap"
+    without_chunks(source, plain)
+    assert tune_log(plain, Options()).verdict == "ok"
+    data = bytearray(plain.read_bytes())
+    data[data.index(b"world", len(data) // 3)] ^= 1  # in a frame's name: no sample changes
+    plain.write_bytes(bytes(data))
+    tuning = tune_log(plain, Options())
+    assert tuning.verdict == "suspect"
+    assert "checksum" in (tuning.reason or "")

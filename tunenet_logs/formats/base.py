@@ -85,6 +85,7 @@ class Loss:
         at_byte: where it begins; None for the whole file.
         size: bytes concerned.
         harmless: whether all messages were read nevertheless.
+        taints: whether messages that were read may have been changed.
     """
 
     what: str
@@ -92,6 +93,7 @@ class Loss:
     at_byte: int | None = None
     size: int = 0
     harmless: bool = False
+    taints: bool = False
 
     def __str__(self) -> str:
         """With the place."""

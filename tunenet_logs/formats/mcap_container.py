@@ -70,6 +70,7 @@ class _Reading:
         self.unknown = 0  # of them, those whose channel nothing describes
         self.told: int | None = None
         self.is_protected = False
+        self.unprotected = False  # whether a message came without a checksum of its chunk
         self.in_summary = False
         self.ended = False
 
@@ -146,6 +147,7 @@ class _Reading:
         plain = memoryview(unpack(body[at + 8 : at + 8 + packed], compression, stated))
         if crc and zlib.crc32(plain) != crc:
             raise ValueError("its checksum is wrong")
+        self.unprotected |= not crc
         found: list[Record] = []
         at = 0
         while at < len(plain):
@@ -163,9 +165,10 @@ class _Reading:
         return found
 
     def _parse(self, opcode: int, body: memoryview) -> Sequence[Record]:
-        if opcode == Opcode.MESSAGE:
+        if opcode == Opcode.MESSAGE:  # outside a chunk
             found: list[Record] = []
             self._message(body, found)
+            self.unprotected = True
             return found
         stream = ReadDataStream(_Exact(body))
         if opcode == Opcode.SCHEMA:
@@ -249,7 +252,8 @@ class _Reading:
         (stated,) = struct.unpack_from("<I", body)
         self.is_protected = stated != 0
         if stated and stated != crc:
-            self._lose("the checksum of all data is wrong: something before its end was changed")
+            what = "the checksum of all data is wrong: something before its end was changed"
+            self.losses.append(Loss(what, taints=self.unprotected))
         self.crc = 0  # from here on, that of the summary
         self.in_summary = True
 
