@@ -80,7 +80,10 @@ class _Stream:
 
         packet = None
         if number is not None:
-            packet = av.Packet(data)
+            # A packet around Python's own bytes lacks the room that decoders read ahead in, and a
+            # decoder's thread that frees it waits for Python, which may wait for that thread.
+            packet = av.Packet(len(data))
+            packet.update(data)
             packet.pts = packet.dts = number
         try:
             return self._decoder.decode(packet)
