@@ -119,6 +119,14 @@ def test_one_picture_in_memory():
     assert peak < 6 * WIDTH * HEIGHT * 3 + 300_000
 
 
+def test_one_message_is_one_picture():
+    """All that a bomb of AV1 pictures holds would be decoded at once."""
+    messages = stream("av1")
+    bomb = Packet(stamp(0), "av1", b"".join(one.data for one in messages))
+    assert list(decoded([bomb])) == []
+    assert shown(decoded([bomb, *messages])) == list(range(COUNT))
+
+
 @given(codec=st.sampled_from(CODECS_WRITTEN), data=st.data())
 @settings(max_examples=60, deadline=None)
 def test_a_damaged_stream_is_decoded_as_far_as_it_goes(codec: str, data: st.DataObject):

@@ -22,6 +22,12 @@ _MOST_WAITING = 256
 """Packets of which the picture may still come; no decoder reorders more."""
 
 
+_MOST_AV1_PARTS = 500
+_MOST_AV1_PICTURES = 8
+_AV1_BEGINS_PICTURE = (3, 6)
+"""Types of an AV1 packet's parts: OBU_FRAME_HEADER and OBU_FRAME."""
+
+
 @dataclass(slots=True)
 class Packet:
     """What one message holds; `format` is one of `CODECS`."""
@@ -45,17 +51,48 @@ def decoded(packets: Iterable[Packet]) -> Iterator[Frame]:
         yield from _Stream(name).frames(group)
 
 
+def _is_picture(name: str, data: bytes) -> bool:
+    """Whether a packet may be one picture. dav1d gives all pictures of a packet at once.
+
+    A few kB of AV1 can then be gigabytes. The parts that begin a picture are counted: with those
+    that are never shown, one that is shown has a few.
+    """
+    if name != CODECS["av1"]:
+        return bool(data)
+    at = begun = 0
+    for _ in range(_MOST_AV1_PARTS):
+        if at >= len(data):
+            return bool(data)
+        head = data[at]
+        begun += (head >> 3 & 15) in _AV1_BEGINS_PICTURE
+        if begun > _MOST_AV1_PICTURES:
+            return False
+        if not head & 2:  # it has no size: the rest of the packet
+            return True
+        at += 2 if head & 4 else 1
+        size = shift = 0
+        for byte in data[at : at + 8]:
+            at += 1
+            size |= (byte & 127) << shift
+            shift += 7
+            if byte < 128:
+                break
+        at += size
+    return False
+
+
 class _Stream:
     """One decoder, from its first packet to what it still holds at the end."""
 
     def __init__(self, name: str) -> None:
+        self._name = name
         self._decoder = _opened(name)
         self._stamps_ns: dict[int, int] = {}
         self._began = False
 
     def frames(self, packets: Iterable[Packet]) -> Iterator[Frame]:
         for number, packet in enumerate(packets):
-            if not packet.data:  # would mean the end of the stream
+            if not _is_picture(self._name, packet.data):  # none would mean the end of the stream
                 continue
             self._stamps_ns[number] = packet.stamp_ns
             if len(self._stamps_ns) > _MOST_WAITING:
