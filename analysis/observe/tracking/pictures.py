@@ -80,6 +80,7 @@ class Pictures:
                     self.samples, every = self.samples[::2], 2 * every
                 stamps.append(frame.stamp_ns)
                 self._kept.add(index)
+            del picture  # a large one would else be kept while the next is decoded
         self.sampled = every * np.arange(len(self.samples))
         if not stamps:
             why = f": {reason}" if reason else ""
