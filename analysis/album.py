@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from analysis.observe.part import check_start
 from tunenet_logs.episode import Episode, Frame
 from tunenet_logs.errors import LogError, UsageError
-from tunenet_logs.images import image_size
 from tunenet_logs.jpeg import from_bgr, is_whole
 from tunenet_logs.progress import Bar, Progress
 
@@ -113,7 +112,6 @@ class _Shelf:
     def __init__(self) -> None:
         self.size_px: tuple[int, int] | None = None
         self.shots: dict[int, Shot] = {}
-        self._stated_px: tuple[int, int] | None = None
         self._step = 1
         self._held_bytes = 0
         self._reduced = 0
@@ -128,8 +126,8 @@ class _Shelf:
             return
         if self.size_px is None:
             height, width = frame.decode().shape[:2]
-            self._stated_px, self.size_px = _stated_size(frame), (width, height)
-        elif _stated_size(frame) != self._stated_px:
+            self.size_px = (width, height)
+        elif frame.size_px() != self.size_px:
             return
         self._put(number, _shot(seconds, frame))
         while len(self.shots) > 1 and (
@@ -146,11 +144,6 @@ class _Shelf:
         self.shots[number] = shot
         self._held_bytes += len(shot.data)
         self._reduced += shot.is_reduced
-
-
-def _stated_size(frame: Frame) -> tuple[int, int]:
-    """(width, height) [px] without decoding; a camera's JPEG may be shown turned."""
-    return image_size(frame.data) if frame.size is None else frame.size
 
 
 def _shot(seconds: float, frame: Frame) -> Shot:

@@ -68,9 +68,9 @@ class Frame:
 
     Attributes:
         stamp_ns: acquisition time [ns].
-        encoding: format of `data`: "jpeg" or "png" as in sensor_msgs/CompressedImage, or "rgb8"
-            for the bare pixels of a decoded video.
-        data: the bytes.
+        encoding: format of `data`: "jpeg", "png" or "webp", or of bare pixels, as sensor_msgs/Image
+            names it ("rgb8", "mono8", "bayer_rggb8", ...); a decoded video's are "rgb8".
+        data: the bytes; of bare pixels without padding between rows, and little-endian.
         size: (width, height) [px] of bare pixels; None where `data` says it itself.
     """
 
@@ -85,12 +85,25 @@ class Frame:
         Raises:
             LogError: damaged, of an unknown encoding, or larger than any camera's picture.
         """
+        if self.size is not None:
+            from tunenet_logs.pixels import decode_pixels
+
+            return decode_pixels(self.data, self.encoding, self.size)
         from tunenet_logs.images import decode_image
 
-        if self.size is not None:
-            width, height = self.size
-            return np.frombuffer(self.data, np.uint8).reshape(height, width, 3)
         return decode_image(self.data, self.encoding)
+
+    def size_px(self) -> tuple[int, int]:
+        """(width, height) of the picture, without decoding it.
+
+        Raises:
+            LogError: the header is damaged, or claims more than any camera's picture.
+        """
+        if self.size is not None:
+            return self.size
+        from tunenet_logs.images import image_size
+
+        return image_size(self.data)
 
 
 @dataclass(frozen=True, kw_only=True)

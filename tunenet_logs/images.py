@@ -1,50 +1,121 @@
-"""Bounded decoding of recorded images: a header's claim is checked before memory is spent on it."""
+"""Compressed images, decoded with bounds: a header's claim is checked before memory is spent."""
 
 from __future__ import annotations
 
 import struct
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tunenet_logs.errors import LogError
 
-MAX_PIXELS = 64_000_000
+MAX_PIXELS = 36_000_000
+"""Of any picture: a little more than 8K video has."""
+
+_MOST_PIXELS_A_BYTE = 2000
+"""A blank JPEG has some 300 pixels for each of its bytes, a blank PNG 1000. What claims more is
+cut, or forged so that a few bytes cost a decoder seconds and hundreds of megabytes."""
+
 _FRAME_MARKERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
-_PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
+_BEFORE_FRAME = frozenset({0xC4, 0xCC, 0xDB, 0xDD, 0xFE, *range(0xE0, 0xF0)})
+_PNG_START = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
+_MOST_MARKERS = 1000
+_ANIMATED = 0x02
+
+Format = Literal["jpeg", "png", "webp"]
+
+
+def image_format(data: bytes) -> Format | None:
+    """What a compressed image is by its first bytes; None for what is not read."""
+    if data[:2] == b"\xff\xd8":
+        return "jpeg"
+    if data[:8] == _PNG_START[:8]:
+        return "png"
+    if data[:4] == b"RIFF" and data[8:12] == b"WEBP":
+        return "webp"
+    return None
 
 
 def image_size(data: bytes) -> tuple[int, int]:
-    """(width, height) [px] that a JPEG's or PNG's header states.
+    """(width, height) [px] that the header of a JPEG, PNG or WebP states.
 
     Raises:
-        LogError: neither a JPEG nor a PNG, or cut before its size.
+        LogError: none of them, cut before its size, or of a size that cannot be true.
     """
-    if data[:8] == _PNG_MAGIC and len(data) >= 24:
-        return struct.unpack(">II", data[16:24])
-    if data[:2] == b"\xff\xd8":
-        at = 2
-        while at + 9 <= len(data) and data[at] == 0xFF:
-            marker, length = data[at + 1], int.from_bytes(data[at + 2 : at + 4], "big")
-            if marker in _FRAME_MARKERS:
-                height, width = struct.unpack(">HH", data[at + 5 : at + 9])
-                return width, height
-            at += 1 if marker == 0xFF else 2 + length
-    raise LogError("an image is neither a whole JPEG nor PNG; record the camera again as JPEG")
+    kind = image_format(data)
+    size = _SIZES[kind](data) if kind else None
+    if size is None:
+        raise LogError("an image is no whole JPEG, PNG or WebP; record the camera again as JPEG")
+    width, height = size
+    if not 0 < width * height <= MAX_PIXELS:
+        raise LogError(f"an image claims {width} x {height} px, over the limit of {MAX_PIXELS} px")
+    if width * height > _MOST_PIXELS_A_BYTE * len(data):
+        raise LogError(f"an image claims {width} x {height} px in {len(data)} bytes: damaged")
+    return size
 
 
 def decode_image(data: bytes, encoding: str) -> NDArray[np.uint8]:
-    """Decode to RGB uint8, shape (H, W, 3).
+    """Decode to RGB uint8, shape (H, W, 3); of 16 bits a sample, the upper 8.
+
+    A note in the file that it should be shown turned is not obeyed: every picture then has the
+    size that its header states.
 
     Raises:
-        LogError: damaged, or of a size that no camera has.
+        LogError: damaged, or of a size that cannot be true.
     """
     width, height = image_size(data)
-    if not 0 < width * height <= MAX_PIXELS:
-        raise LogError(f"an image claims {width} x {height} px, over the limit of {MAX_PIXELS} px")
     import cv2
 
-    bgr = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
-    if bgr is None:
-        raise LogError(f"an image of encoding {encoding!r} is damaged and cannot be decoded")
-    return np.ascontiguousarray(bgr[:, :, ::-1], dtype=np.uint8)
+    flags = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION  # RGB without a second copy
+    try:
+        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except cv2.error:
+        pixels = None
+    if pixels is None or pixels.shape != (height, width, 3) or pixels.dtype != np.uint8:
+        raise LogError(f"an image of encoding {encoding[:24]!r} is damaged and cannot be decoded")
+    return np.asarray(pixels, np.uint8)
+
+
+def _jpeg_size(data: bytes) -> tuple[int, int] | None:
+    """Strictly: markers that a decoder skips in another way could show us another size."""
+    at = 2
+    for _ in range(_MOST_MARKERS):
+        if data[at : at + 1] != b"\xff" or at + 9 > len(data):
+            return None
+        marker, length = data[at + 1], int.from_bytes(data[at + 2 : at + 4], "big")
+        if marker in _FRAME_MARKERS:
+            height, width = struct.unpack(">HH", data[at + 5 : at + 9])
+            return width, height
+        if marker == 0xFF:
+            at += 1
+        elif marker in _BEFORE_FRAME and length >= 2:
+            at += 2 + length
+        else:
+            return None
+    return None
+
+
+def _png_size(data: bytes) -> tuple[int, int] | None:
+    if not data.startswith(_PNG_START) or len(data) < 24:
+        return None
+    return struct.unpack(">II", data[16:24])
+
+
+def _webp_size(data: bytes) -> tuple[int, int] | None:
+    """Of the three kinds: VP8 (lossy), VP8L (lossless), VP8X (either, with extras)."""
+    kind, body = data[12:16], data[20:30]
+    if len(body) < 10:
+        return None
+    if kind == b"VP8 " and body[3:6] == b"\x9d\x01\x2a":
+        width, height = struct.unpack("<HH", body[6:10])
+        return width & 0x3FFF, height & 0x3FFF
+    if kind == b"VP8L" and body[0] == 0x2F:
+        bits = int.from_bytes(body[1:5], "little")
+        return 1 + (bits & 0x3FFF), 1 + (bits >> 14 & 0x3FFF)
+    if kind == b"VP8X" and not body[0] & _ANIMATED:
+        return tuple(1 + int.from_bytes(body[at : at + 3], "little") for at in (4, 7))  # type: ignore[return-value]
+    return None
+
+
+_SIZES = {"jpeg": _jpeg_size, "png": _png_size, "webp": _webp_size}

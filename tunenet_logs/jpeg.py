@@ -6,7 +6,7 @@ import numpy as np
 
 from tunenet_logs.episode import Frame
 from tunenet_logs.errors import LogError
-from tunenet_logs.images import MAX_PIXELS, image_size
+from tunenet_logs.images import image_size
 
 _QUALITY = 95
 
@@ -19,10 +19,10 @@ def is_whole(data: bytes) -> bool:
     if not data.startswith(b"\xff\xd8") or not data.rstrip(b"\0 \t\r\n").endswith(b"\xff\xd9"):
         return False
     try:
-        width, height = image_size(data)
+        image_size(data)
     except LogError:
         return False
-    return 0 < width * height <= MAX_PIXELS
+    return True
 
 
 def compressed(frame: Frame) -> Frame:
@@ -34,9 +34,8 @@ def compressed(frame: Frame) -> Frame:
         return frame
     import cv2
 
-    width, height = frame.size
-    pixels = np.frombuffer(frame.data, np.uint8).reshape(height, width, 3)
-    return Frame(frame.stamp_ns, "jpeg", from_bgr(cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)))
+    bgr = cv2.cvtColor(frame.decode(), cv2.COLOR_RGB2BGR)
+    return Frame(frame.stamp_ns, "jpeg", from_bgr(bgr))
 
 
 def from_bgr(pixels: np.ndarray) -> bytes:

@@ -25,7 +25,7 @@ from tunenet_logs.formats.base import (
 from tunenet_logs.formats.codec import Decode, MessageError, UnusableError
 from tunenet_logs.formats.codecs import check_encoding, decoder_for
 from tunenet_logs.formats.kinds import Joints, Pictures, Positions, kind_of
-from tunenet_logs.formats.pictures import frames_of
+from tunenet_logs.formats.pictures import checked, frames_of
 from tunenet_logs.messages import INFO_RECORD
 
 _LAST_NS = 2**63 - 1
@@ -72,6 +72,8 @@ class _Topic:
         self.log_ns = array("q")
         self.damaged = 0
         self.skipped: str | None = None
+        self.refused = 0
+        self._refusal = ""
         self.rows: PositionRows | JointRows | PictureStamps | None = None
         self.kind = kind_of(channel)
         self._decode: Decode | None = None
@@ -84,7 +86,7 @@ class _Topic:
             self.skipped = str(reason)
             return
         rows = self.rows = _ROWS[type(self.kind)](channel.topic)
-        self._read: Callable[[Any], Any] = self.kind.read
+        self._read: Callable[[Any], Any] = checked(self.kind)
         self._add: Callable[[int, Any], None] = rows.add
 
     def add(self, log_ns: int, data: bytes | memoryview) -> None:
@@ -96,8 +98,23 @@ class _Topic:
             return
         try:
             self._add(log_ns, self._read(self._decode(data)))
+        except UnusableError as reason:
+            self.refused += 1
+            self._refusal = self._refusal or str(reason)
         except (MessageError, *DAMAGED):
             self.damaged += 1
+
+    @property
+    def why_skipped(self) -> str | None:
+        """Why none of its messages is used, as far as they were seen; None if one is."""
+        if self.refused and self.refused + self.damaged >= len(self.log_ns):
+            return self._refusal
+        return self.skipped
+
+    @property
+    def lost(self) -> int:
+        """Messages that could not be used among others that could."""
+        return self.damaged if self.why_skipped else self.damaged + self.refused
 
     def summary(self) -> Channel:
         return Channel(
@@ -105,7 +122,7 @@ class _Topic:
             type_name=self.channel.type_name,
             encoding=self.channel.encoding,
             log_ns=np.array(self.log_ns, np.int64),
-            skipped=self.skipped,
+            skipped=self.why_skipped,
             pictures=isinstance(self.kind, Pictures),
         )
 
@@ -137,9 +154,9 @@ class _Gathered:
     def episode(self, path: Path, container: Container, losses: Sequence[Loss]) -> Episode:
         topics = list(dict.fromkeys(self._by_channel.values()))
         damaged = [
-            f"{one.channel.topic}: {one.damaged} damaged messages were left out"
+            f"{one.channel.topic}: {one.lost} damaged messages were left out"
             for one in topics
-            if one.damaged
+            if one.lost
         ]
         signals, notes = _signals(topics)
         by_log = _untold(topics, notes)

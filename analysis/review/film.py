@@ -17,7 +17,6 @@ from analysis.review.story import OBSERVED, Curve, Story
 from analysis.tuning import Tuning
 from tunenet_logs.episode import Frame
 from tunenet_logs.errors import LogError
-from tunenet_logs.images import image_size
 
 Array = NDArray[np.float64]
 
@@ -146,7 +145,7 @@ def _log_pictures(stream: rr.RecordingStream, tuning: Tuning, film: FilmedDrop) 
     if not frames:
         return
     _send_pictures(stream, frames, tuning.found.start_ns)
-    scale = film.track.size_px[0] / image_size(frames[0].data)[0]
+    scale = film.track.size_px[0] / frames[0].size_px()[0]
     stream.log("film/picture", rr.Transform3D(scale=scale), static=True)
 
 
@@ -167,7 +166,7 @@ def _frames_of(tuning: Tuning, film: FilmedDrop) -> Iterator[Frame]:
             continue
         try:
             picture = frame if frame.encoding == "jpeg" else _reduced(frame)
-            image_size(picture.data)
+            picture.size_px()
         except LogError:
             continue
         shown.append(picture)

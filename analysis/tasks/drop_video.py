@@ -68,7 +68,10 @@ class DropVideoTask:
         rig = episode.info.rig
         told = sum(one.messages for one in episode.channels if one.topic == topic)
         if selection.end_s is None and pictures.opened < told:
-            warnings.append(f"only {pictures.opened} of {told} pictures can be read: damaged there")
+            warnings.append(
+                f"only {pictures.opened} of {told} pictures can be read: the others are damaged or "
+                "a video's whose beginning is missing"
+            )
         if pictures.other_size:
             warnings.append(f"{pictures.other_size} pictures of another size were left out")
         if pictures.damaged:

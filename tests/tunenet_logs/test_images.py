@@ -2,43 +2,150 @@
 
 from __future__ import annotations
 
+import zlib
+from contextlib import suppress
+
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from tunenet_logs.episode import Frame
-from tunenet_logs.errors import LogError
-from tunenet_logs.images import image_size
+from tunenet_logs.errors import LogError, TuneNetError
+from tunenet_logs.images import MAX_PIXELS, image_format, image_size
 
 PICTURE = np.zeros((48, 64, 3), np.uint8)
 PICTURE[:, :32] = (255, 0, 0)  # red, in RGB
+FORMATS = {".jpg": "jpeg", ".png": "png", ".webp": "webp"}
+LOSSY_WEBP = [cv2.IMWRITE_WEBP_QUALITY, 90]
 
 
-def encoded(suffix: str) -> bytes:
-    return cv2.imencode(suffix, PICTURE[:, :, ::-1])[1].tobytes()
+def encoded(suffix: str, settings_: list[int] | None = None) -> bytes:
+    return cv2.imencode(suffix, PICTURE[:, :, ::-1], settings_ or [])[1].tobytes()
 
 
-@pytest.mark.parametrize("suffix", [".jpg", ".png"])
-def test_decodes_to_rgb(suffix: str):
-    decoded = Frame(0, suffix[1:], encoded(suffix)).decode()
+def with_size(width: int, height: int, filler: int = 0) -> bytes:
+    """A JPEG of 64 x 48 px that claims another size, with bytes in it that mean nothing."""
+    data = bytearray(encoded(".jpg"))
+    at = data.index(b"\xff\xc0")
+    data[at + 5 : at + 9] = height.to_bytes(2, "big") + width.to_bytes(2, "big")
+    comment = b"\xff\xfe\xff\xff" + bytes(0xFFFD)
+    return bytes(data[:2]) + comment * (filler // 0xFFFF) + bytes(data[2:])
+
+
+def extended_webp(flags: int = 0) -> bytes:
+    """A lossy WebP with the header of one that has extras."""
+    inner = encoded(".webp", LOSSY_WEBP)[12:]
+    size = b"".join((one - 1).to_bytes(3, "little") for one in (64, 48))
+    body = b"WEBPVP8X" + (10).to_bytes(4, "little") + bytes([flags, 0, 0, 0]) + size + inner
+    return b"RIFF" + len(body).to_bytes(4, "little") + body
+
+
+WHOLE = {
+    "jpeg": encoded(".jpg"),
+    "png": encoded(".png"),
+    "lossless webp": encoded(".webp"),
+    "lossy webp": encoded(".webp", LOSSY_WEBP),
+    "extended webp": extended_webp(),
+}
+
+
+@pytest.mark.parametrize("data", WHOLE.values(), ids=WHOLE)
+def test_decodes_to_rgb(data: bytes):
+    """Whatever a message says that it is."""
+    decoded = Frame(0, "bgr8; something compressed", data).decode()
     assert decoded.shape == PICTURE.shape
     assert np.abs(decoded[:, :24].astype(int) - PICTURE[:, :24]).max() < 10
 
 
-@pytest.mark.parametrize("suffix", [".jpg", ".png"])
-def test_reads_the_size_without_decoding(suffix: str):
-    assert image_size(encoded(suffix)) == (64, 48)
+@pytest.mark.parametrize("data", WHOLE.values(), ids=WHOLE)
+def test_reads_the_size_without_decoding(data: bytes):
+    assert image_size(data) == Frame(0, "", data).size_px() == (64, 48)
+
+
+def test_the_format_is_told_by_the_content():
+    assert {image_format(encoded(suffix)) for suffix in FORMATS} == set(FORMATS.values())
+    assert image_format(b"GIF89a") is None
+
+
+def test_sixteen_bits_are_shown_by_the_upper_eight():
+    grey = np.arange(48 * 64, dtype=np.uint16).reshape(48, 64) * 21
+    data = cv2.imencode(".png", grey)[1].tobytes()
+    decoded = Frame(0, "mono16; png compressed ", data).decode()
+    assert np.abs(decoded - (grey // 256)[..., None].astype(int)).max() <= 1
+
+
+def test_a_note_to_turn_the_picture_changes_no_pixel():
+    data = encoded(".jpg")
+    entry = b"\x01\x12\x00\x03\x00\x00\x00\x01\x00\x06\x00\x00"
+    exif = b"Exif\0\0MM\x00\x2a\x00\x00\x00\x08\x00\x01" + entry + bytes(4)
+    turned = data[:2] + b"\xff\xe1" + (len(exif) + 2).to_bytes(2, "big") + exif + data[2:]
+    frame = Frame(0, "jpeg", turned)
+    assert frame.size_px() == (64, 48)
+    assert np.array_equal(frame.decode(), Frame(0, "jpeg", data).decode())
 
 
 def test_refuses_a_forged_size():
-    data = bytearray(encoded(".jpg"))
-    at = data.index(b"\xff\xc0")
-    data[at + 5 : at + 9] = (30_000).to_bytes(2, "big") * 2
     with pytest.raises(LogError, match="30000 x 30000"):
-        Frame(0, "jpeg", bytes(data)).decode()
+        Frame(0, "jpeg", with_size(30_000, 30_000)).decode()
+    with pytest.raises(LogError, match="over the limit"):
+        Frame(0, "jpeg", with_size(6001, 6000, filler=200_000)).decode()
+    with pytest.raises(LogError, match="damaged"):
+        Frame(0, "jpeg", with_size(4000, 3000)).decode()
+    assert image_size(with_size(6000, 6000, filler=200_000)) == (6000, 6000)
+    assert MAX_PIXELS == 6000 * 6000
 
 
-@pytest.mark.parametrize("data", [b"", b"\xff\xd8", b"\xff\xd8\xff\xff\xff\xff", b"hello" * 9])
+@pytest.mark.parametrize("marker", [0x00, 0x01, 0xD0, 0xD8, 0xD9])
+def test_no_marker_hides_the_true_size(marker: int):
+    """Ours would take the marker's bytes for a length, and a decoder would not."""
+    true = with_size(30_000, 30_000)
+    decoy = b"\xff\xc0\x00\x11\x08\x00\x30\x00\x40" + bytes(10)
+    hidden = b"\xff" + bytes([marker]) + b"\xff\xfe" + bytes(0xFFFC) + decoy
+    with pytest.raises(LogError):
+        Frame(0, "jpeg", true[:2] + hidden + true[2:]).decode()
+
+
+def test_refuses_a_webp_that_moves():
+    with pytest.raises(LogError):
+        Frame(0, "webp", extended_webp(flags=2)).decode()
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"\xff\xd8",
+        b"\xff\xd8\xff\xff\xff\xff",
+        b"hello" * 9,
+        b"\xff\xd8" + b"\xff" * 10_000_000,
+        b"\xff\xd8" + b"\xff\xfe\x00\x02" * 2_000_000,
+        *(one[:end] for one in WHOLE.values() for end in (15, 23, 29)),
+    ],
+)
 def test_refuses_what_is_no_image(data: bytes):
     with pytest.raises(LogError):
         Frame(0, "jpeg", data).decode()
+
+
+@given(name=st.sampled_from(sorted(WHOLE)), data=st.data())
+@settings(max_examples=300, deadline=None)
+def test_a_damaged_image_decodes_or_is_refused(name: str, data: st.DataObject):
+    whole = bytearray(WHOLE[name])
+    for _ in range(data.draw(st.integers(1, 4))):
+        at = data.draw(st.integers(0, len(whole) - 1))
+        whole[at] = data.draw(st.integers(0, 255))
+    broken = bytes(whole[: data.draw(st.integers(0, len(whole)))])
+    if name == "png":  # else hardly any would pass its checksums
+        broken = _summed(broken)
+    with suppress(TuneNetError):
+        pixels = Frame(0, "jpeg", broken).decode()
+        assert pixels.dtype == np.uint8
+        assert pixels.shape[2:] == (3,)
+
+
+def _summed(png: bytes) -> bytes:
+    if len(png) < 33:
+        return png
+    return png[:29] + zlib.crc32(png[12:29]).to_bytes(4, "big") + png[33:]

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from analysis.observe.part import check_start
 from tunenet_logs.episode import Episode, Frame
 from tunenet_logs.errors import LogError, NotFoundError, UsageError
-from tunenet_logs.images import image_size
 
 Picture = NDArray[np.uint8]
 
@@ -67,15 +66,16 @@ class Pictures:
         self.other_size = 0
         self.samples: list[Picture] = []
         stamps: list[int] = []
-        every = 1
+        every, reason = 1, ""
         self._kept: set[int] = set()
         self.size_px = self._usual_size()
         self.scale = max(1, int(np.ceil(np.sqrt(np.prod(self.size_px) / _MOST_PIXELS))))
         for index, frame in self._selected():
             try:
                 picture = frame.decode()
-            except LogError:
+            except LogError as error:
                 self.damaged += 1
+                reason = str(error)
                 continue
             height, width = picture.shape[:2]
             self.other_size += (width, height) != self.size_px
@@ -86,9 +86,11 @@ class Pictures:
                     self.samples, every = self.samples[::2], 2 * every
                 stamps.append(frame.stamp_ns)
                 self._kept.add(index)
+            del picture  # a large one would else be kept while the next is decoded
         self.sampled = every * np.arange(len(self.samples))
         if not stamps:
-            raise NotFoundError("holds no picture that can be decoded (in the part selected)")
+            why = f": {reason}" if reason else ""
+            raise NotFoundError(f"holds no picture that can be decoded (in the part selected){why}")
         self.stamps_ns = np.array(stamps, np.int64)
 
     def __iter__(self) -> Iterator[Picture]:
@@ -134,13 +136,13 @@ class Pictures:
         return x / self.scale, y / self.scale, at_s - before_s
 
     def _usual_size(self) -> tuple[int, int]:
-        """The size that most of the pictures claim."""
+        """The size that most of the pictures claim; of bare pixels, most of the first."""
         sizes: Counter[tuple[int, int]] = Counter()
         for _, frame in self._selected():
             with suppress(LogError):
-                sizes[frame.size or image_size(frame.data)] += 1
-            if frame.size is not None:
-                break  # the pictures of a video are of one size
+                sizes[frame.size_px()] += 1
+            if frame.size is not None and sizes.total() >= _MOST_SAMPLES:
+                break  # they may be a video's, and each of them decoded for this
         return sizes.most_common(1)[0][0] if sizes else (1, 1)
 
     def _selected(self) -> Iterator[tuple[int, Frame]]:

@@ -1,0 +1,168 @@
+"""Pictures of other people's logs: every encoding as its pixels were, nothing believed too far."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.picture_strangers import (
+    ENCODED,
+    RAW,
+    compressed,
+    image,
+    png,
+    video,
+    write_pictures,
+)
+from tunenet_logs.episode import Frame
+from tunenet_logs.errors import LogError, TuneNetError
+from tunenet_logs.reader import read_episode
+
+WIDTH, HEIGHT = 64, 48
+STAMP_NS = 1_700_000_000_123_456_789
+PIXEL_BYTES = {"rgb8": 3, "bgra8": 4, "mono8": 1, "mono16": 2, "yuyv": 2, "bayer_grbg8": 1}
+
+
+def drawn() -> np.ndarray:
+    """Smooth, and of all colours: no encoding then loses much."""
+    across, down = np.meshgrid(np.linspace(0, 1, WIDTH), np.linspace(0, 1, HEIGHT))
+    parts = [60 + 150 * across, 40 + 180 * down, 200 - 120 * across * down]
+    return np.dstack(parts).astype(np.uint8)
+
+
+def read(path: Path) -> list[Frame]:
+    episode = read_episode(path)
+    assert not episode.losses
+    return list(episode.frames())
+
+
+@pytest.mark.parametrize("encoding", ENCODED)
+def test_every_encoding_shows_what_was_drawn(tmp_path: Path, encoding: str):
+    rgb = drawn()
+    data = ENCODED[encoding](rgb)
+    size = (WIDTH, HEIGHT)
+    step = WIDTH if encoding.startswith("nv") else None
+    path = write_pictures(tmp_path / "a.mcap", [image(STAMP_NS, encoding, size, data, step)])
+    (frame,) = read(path)
+    assert (frame.stamp_ns, frame.encoding) == (STAMP_NS, encoding)
+    assert (frame.data, frame.size_px()) == (data, size)
+    wanted = rgb
+    if "mono" in encoding or encoding.endswith("UC1"):
+        wanted = np.repeat(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)[..., None], 3, axis=2)
+    off = np.abs(frame.decode().astype(int) - wanted)[2:-2, 2:-2]
+    is_exact = not encoding.startswith(("bayer", "yuv", "yuyv", "uyvy", "nv"))
+    assert off.max() <= (0 if is_exact else 8)
+
+
+@pytest.mark.parametrize("encoding", PIXEL_BYTES)
+def test_rows_may_be_padded(tmp_path: Path, encoding: str):
+    data = ENCODED[encoding](drawn())
+    row = WIDTH * PIXEL_BYTES[encoding]
+    rows = np.frombuffer(data, np.uint8).reshape(HEIGHT, row)
+    padded = np.pad(rows, ((0, 2), (0, 24)), constant_values=9).tobytes()
+    messages = [
+        image(STAMP_NS, encoding, (WIDTH, HEIGHT), padded, row + 24),
+        image(STAMP_NS + 1, encoding, (WIDTH, HEIGHT), data, 0),
+    ]
+    assert [one.data for one in read(write_pictures(tmp_path / "a.mcap", messages))] == [data] * 2
+
+
+def test_the_other_byte_order_is_turned(tmp_path: Path):
+    small = np.arange(WIDTH * HEIGHT, dtype="<u2") * 20
+    big = np.pad(small.astype(">u2").reshape(HEIGHT, WIDTH), ((0, 0), (0, 3)))
+    size, step = (WIDTH, HEIGHT), 2 * WIDTH + 6
+    message = image(STAMP_NS, "mono16", size, big.tobytes(), step, is_bigendian=1)
+    (frame,) = read(write_pictures(tmp_path / "a.mcap", [message]))
+    assert frame.data == small.tobytes()
+    assert np.array_equal(frame.decode()[..., 0].ravel(), small >> 8)
+
+
+def test_foxglove_writes_the_same(tmp_path: Path):
+    rgb = drawn()
+    fields = {"width": WIDTH, "height": HEIGHT, "encoding": "rgb8", "step": 3 * WIDTH}
+    message = (STAMP_NS, RAW, {**fields, "data": rgb.tobytes()})
+    (frame,) = read(write_pictures(tmp_path / "a.mcap", [message]))
+    assert np.array_equal(frame.decode(), rgb)
+    assert frame.stamp_ns == STAMP_NS
+
+
+@pytest.mark.parametrize("said", ["jpeg", "bgr8; png compressed ", "rgb8; jpeg compressed bgr8"])
+def test_compressed_pictures_are_what_they_are(tmp_path: Path, said: str):
+    data = png(drawn())
+    (frame,) = read(write_pictures(tmp_path / "a.mcap", [compressed(STAMP_NS, said, data)]))
+    assert (frame.encoding, frame.data) == ("png", data)
+    assert np.array_equal(frame.decode(), drawn())
+
+
+@pytest.mark.parametrize(
+    ("message", "reason"),
+    [
+        (image(STAMP_NS, "32FC1", (2, 2), bytes(16)), "distances"),
+        (image(STAMP_NS, "rgb9", (2, 2), bytes(16)), "'rgb9' are not read"),
+        (compressed(STAMP_NS, "32FC1; compressedDepth rvl", bytes(40)), "distances"),
+        (compressed(STAMP_NS, "16UC1; compressedDepth png", bytes(40)), "distances"),
+        (video(STAMP_NS, "mjpeg", b"\0"), "'mjpeg' is not read"),
+    ],
+)
+def test_what_is_no_picture_is_left_out_with_a_reason(tmp_path: Path, message, reason: str):
+    episode = read_episode(write_pictures(tmp_path / "a.mcap", [message] * 3))
+    assert reason in (episode.channels[0].skipped or "")
+    assert episode.picture_topics == ()
+    assert episode.losses == ()
+
+
+BAD = {
+    "cut": image(STAMP_NS, "rgb8", (4, 4), bytes(47), 12),
+    "no width": image(STAMP_NS, "rgb8", (0, 4), bytes(48)),
+    "short rows": image(STAMP_NS, "rgb8", (4, 4), bytes(48), 11),
+    "odd": image(STAMP_NS, "yuyv", (3, 4), bytes(48)),
+    "over the limit": image(STAMP_NS, "mono8", (2**31, 2**31), bytes(48), 1),
+    "wide step": image(STAMP_NS, "mono8", (4, 4), bytes(48), 2**32 - 1),
+    "one more encoding": image(STAMP_NS, "64FC2", (1, 3), bytes(48)),
+}
+
+
+@pytest.mark.parametrize("bad", BAD.values(), ids=BAD)
+def test_damaged_pictures_are_counted_and_left_out(tmp_path: Path, bad):
+    good = image(STAMP_NS, "rgb8", (4, 4), bytes(range(48)))
+    episode = read_episode(write_pictures(tmp_path / "a.mcap", [bad, good, bad]))
+    assert [frame.data for frame in episode.frames()] == [bytes(range(48))]
+    assert episode.losses == ("/eye: 2 damaged messages were left out",)
+
+
+@given(
+    encoding=st.sampled_from([*ENCODED, "32FC1", ""]),
+    size=st.tuples(st.integers(-2, 70), st.integers(-2, 70)),
+    length=st.integers(0, 20_000),
+)
+@settings(max_examples=300, deadline=None)
+def test_bare_pixels_decode_or_are_refused(encoding: str, size: tuple[int, int], length: int):
+    with suppress(TuneNetError):
+        pixels = Frame(0, encoding, bytes(length), size).decode()
+        assert pixels.shape == (size[1], size[0], 3)
+
+
+@given(
+    encoding=st.sampled_from(sorted(ENCODED)), size=st.tuples(st.integers(1, 9), st.integers(1, 9))
+)
+@settings(max_examples=200, deadline=None)
+def test_the_smallest_pictures_decode(encoding: str, size: tuple[int, int]):
+    width, height = size
+    for length in {width * height * n // 2 for n in (2, 3, 4, 6, 8)}:
+        with suppress(LogError):
+            assert Frame(0, encoding, bytes(length), size).decode().shape == (height, width, 3)
+
+
+@given(fields=st.tuples(*[st.integers(0, 2**32 - 1)] * 3), length=st.integers(0, 300))
+@settings(max_examples=60, deadline=None)
+def test_what_a_message_claims_is_never_believed(tmp_path_factory, fields, length: int):
+    width, height, step = fields
+    path = tmp_path_factory.mktemp("claims") / "a.mcap"
+    write_pictures(path, [image(STAMP_NS, "rgb8", (width, height), bytes(length), step)])
+    assert list(read_episode(path).frames()) == []

@@ -1,0 +1,144 @@
+"""Video in messages, a compressed picture in each: foxglove.CompressedVideo."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import groupby
+from typing import TYPE_CHECKING
+
+from tunenet_logs.episode import Frame
+from tunenet_logs.errors import LogError
+from tunenet_logs.images import MAX_PIXELS
+
+if TYPE_CHECKING:
+    from av.video.codeccontext import VideoCodecContext
+    from av.video.frame import VideoFrame
+
+CODECS = {"h264": "h264", "h265": "hevc", "hevc": "hevc", "vp9": "vp9", "av1": "libdav1d"}
+"""From the format of a message to FFmpeg's decoder."""
+
+_MOST_WAITING = 256
+"""Packets of which the picture may still come; no decoder reorders more."""
+
+
+_MOST_AV1_PARTS = 500
+_MOST_AV1_PICTURES = 8
+_AV1_BEGINS_PICTURE = (3, 6)
+"""Types of an AV1 packet's parts: OBU_FRAME_HEADER and OBU_FRAME."""
+
+
+@dataclass(slots=True)
+class Packet:
+    """What one message holds; `format` is one of `CODECS`."""
+
+    stamp_ns: int
+    format: str
+    data: bytes
+
+
+def decoded(packets: Iterable[Packet]) -> Iterator[Frame]:
+    """The pictures of a stream as "rgb8" frames, each with the stamp of its own message.
+
+    What comes before the first picture that stands alone is left out, and so are damaged packets
+    and pictures that the decoder says are damaged. One picture is in memory at a time, beside those
+    that the decoder keeps to build others upon.
+
+    Raises:
+        LogError: this machine's FFmpeg has no such decoder.
+    """
+    for name, group in groupby(packets, key=lambda one: CODECS[one.format]):
+        yield from _Stream(name).frames(group)
+
+
+def _is_picture(name: str, data: bytes) -> bool:
+    """Whether a packet may be one picture. dav1d gives all pictures of a packet at once.
+
+    A few kB of AV1 can then be gigabytes. The parts that begin a picture are counted: with those
+    that are never shown, one that is shown has a few.
+    """
+    if name != CODECS["av1"]:
+        return bool(data)
+    at = begun = 0
+    for _ in range(_MOST_AV1_PARTS):
+        if at >= len(data):
+            return bool(data)
+        head = data[at]
+        begun += (head >> 3 & 15) in _AV1_BEGINS_PICTURE
+        if begun > _MOST_AV1_PICTURES:
+            return False
+        if not head & 2:  # it has no size: the rest of the packet
+            return True
+        at += 2 if head & 4 else 1
+        size = shift = 0
+        for byte in data[at : at + 8]:
+            at += 1
+            size |= (byte & 127) << shift
+            shift += 7
+            if byte < 128:
+                break
+        at += size
+    return False
+
+
+class _Stream:
+    """One decoder, from its first packet to what it still holds at the end."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._decoder = _opened(name)
+        self._stamps_ns: dict[int, int] = {}
+        self._began = False
+
+    def frames(self, packets: Iterable[Packet]) -> Iterator[Frame]:
+        for number, packet in enumerate(packets):
+            if not _is_picture(self._name, packet.data):  # none would mean the end of the stream
+                continue
+            self._stamps_ns[number] = packet.stamp_ns
+            if len(self._stamps_ns) > _MOST_WAITING:
+                del self._stamps_ns[next(iter(self._stamps_ns))]
+            yield from self._pictures(number, packet.data)
+        yield from self._pictures(None, b"")
+
+    def _pictures(self, number: int | None, data: bytes) -> Iterator[Frame]:
+        """Those that one packet completes; those that are left, without one."""
+        for picture in self._decode(number, data):
+            stamp_ns = self._stamps_ns.pop(-1 if picture.pts is None else picture.pts, None)
+            self._began = self._began or bool(picture.key_frame)
+            if stamp_ns is None or not self._began or picture.is_corrupt:
+                continue
+            if 0 < picture.width * picture.height <= MAX_PIXELS:
+                pixels = picture.to_ndarray(format="rgb24")
+                yield Frame(stamp_ns, "rgb8", pixels.tobytes(), (picture.width, picture.height))
+
+    def _decode(self, number: int | None, data: bytes) -> list[VideoFrame]:
+        import av
+        from av.error import FFmpegError
+
+        packet = None
+        if number is not None:
+            # A packet around Python's own bytes lacks the room that decoders read ahead in, and a
+            # decoder's thread that frees it waits for Python, which may wait for that thread.
+            packet = av.Packet(len(data))
+            packet.update(data)
+            packet.pts = packet.dts = number
+        try:
+            return self._decoder.decode(packet)
+        except (FFmpegError, ValueError, OverflowError, MemoryError):
+            return []
+
+
+def _opened(name: str) -> VideoCodecContext:
+    import av
+    from av import logging
+    from av.codec.codec import UnknownCodecError
+
+    logging.set_level(None)  # errors come as exceptions; its printing would only disturb
+    try:
+        decoder = av.CodecContext.create(name, "r")
+    except UnknownCodecError as error:
+        raise LogError(f"this machine's FFmpeg cannot decode {name}") from error
+    assert isinstance(decoder, av.VideoCodecContext)
+    decoder.options = {"max_pixels": str(MAX_PIXELS)}
+    decoder.thread_type = "SLICE"  # threads for each picture would keep one more picture each
+    return decoder
