@@ -47,7 +47,8 @@ def _info(arguments: argparse.Namespace) -> int:
 
 def describe(path: Path, episode: Episode) -> str:
     """The log in words, one fact a line."""
-    lines = [f"{path}: {path.stat().st_size} bytes"]
+    files = path.iterdir() if path.is_dir() else (path,)
+    lines = [f"{path}: {sum(one.stat().st_size for one in files if one.is_file())} bytes"]
     lines += [f"  {line}" for line in _episode_lines(episode.info)]
     lines += [f"  warning: {warning}" for warning in episode.warnings]
     rows = [("topic", "type", "messages", "rate", "duration", "use")]

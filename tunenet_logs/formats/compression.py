@@ -13,6 +13,8 @@ MAX_PART_BYTES = 128 * 1024 * 1024
 _FREE_BYTES = 1024 * 1024 * 1024
 _MOST_RATIO = 256
 _PIECE_BYTES = 64 * 1024
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+"""No message of ROS begins like this: its encoding begins with a zero."""
 
 
 class Budget:
@@ -39,6 +41,26 @@ class Budget:
         self._left -= count
         if self._left < 0:
             raise ValueError(f"the log unpacks to more than {_MOST_RATIO} times its size")
+
+
+def is_packed(message: bytes | memoryview) -> bool:
+    """Whether a recorder packed that message by itself, as ROS 2 can."""
+    return message[:4] == _ZSTD_MAGIC
+
+
+def unpack_message(message: bytes | memoryview, budget: Budget) -> bytes | memoryview:
+    """A message that `is_packed`, as it was published.
+
+    Raises:
+        ValueError: it is damaged or too large, or the budget is spent.
+    """
+    try:
+        stated = zstandard.get_frame_parameters(message).content_size
+    except zstandard.ZstdError as error:
+        raise ValueError(f"zstd data is damaged: {error}") from error
+    if stated <= MAX_PART_BYTES:
+        budget.spend(stated)
+    return unpack(message, "zstd", stated)
 
 
 def unpack(data: bytes | memoryview, compression: str, stated: int) -> bytes | memoryview:

@@ -1,4 +1,4 @@
-"""SQLite files of strangers: opened without a trace, asked for plain tables only, read past damage."""
+"""Strangers' SQLite files: opened without a trace, plain tables only, read past damage."""
 
 from __future__ import annotations
 
@@ -18,13 +18,17 @@ from tunenet_logs.formats.compression import MAX_PART_BYTES
 MAGIC = b"SQLite format 3\0"
 
 _HEADER = struct.Struct(">16xH10xI")  # size of a page (1: 65536), ..., number of pages
-_FIRST, _LAST = -(2**63), 2**63 - 1
+_FIRST, _LAST = 0, 2**63 - 1
 _MOST_PLACES = 1000
 _SCHEMA = "sqlite_master"
 _NUMBER = "_rowid_"
 
 Row = tuple[int, tuple[Any, ...]]
 """A row's own number, and its values, of any type."""
+
+
+DATABASE_ERRORS = (sqlite3.Error, UnicodeDecodeError)
+"""What comes of a damaged file; the second where the error itself quotes what is damaged."""
 
 
 class NoTableError(Exception):
@@ -40,7 +44,7 @@ def opened(path: Path, losses: list[Loss]) -> Iterator[sqlite3.Connection]:
         losses: what is noted about the whole file.
 
     Raises:
-        sqlite3.Error: it cannot be opened.
+        DATABASE_ERRORS: it cannot be opened.
         OSError: the disk fails.
     """
     if _size(_beside(path, "-journal")):
@@ -127,7 +131,7 @@ def table_of(
 
     Raises:
         NoTableError: there is none, it is no plain one, or it lacks a column.
-        sqlite3.Error: the file is damaged.
+        DATABASE_ERRORS: the file is damaged.
     """
     every = Table(_SCHEMA, ("type", "name", "rootpage")).rows(database, [])
     kinds = [
@@ -157,46 +161,63 @@ class Table:
     name: str
     columns: tuple[str, ...]
 
-    def rows(
-        self, database: sqlite3.Connection, losses: list[Loss], condition: str = ""
-    ) -> Iterator[Row]:
-        """All rows in the order of their numbers, and so of their recording.
+    def rows(self, database: sqlite3.Connection, losses: list[Loss]) -> Iterator[Row]:
+        """All rows in the order of their numbers, and so of their recording; negative ones aside.
 
         Args:
             database: where it is.
             losses: the rows that cannot be read.
-            condition: which rows, as SQL; "" for all.
         """
-        question = self._question(", ".join(self.columns), condition)
+        columns = ", ".join(self.columns)
         start, places = _FIRST, 0
-        while start <= _LAST:
+        while start <= _LAST and places < _MOST_PLACES:
             try:
-                for number, *values in database.execute(question, (start,)):
-                    if type(number) is not int or number < start:
-                        losses.append(Loss(f"table {self.name}: its rows are in disorder"))
-                        return
-                    start = number + 1
-                    yield number, tuple(values)
+                for row in self._asked(database, columns, start):
+                    start = row[0] + 1
+                    yield row
                 return
-            except sqlite3.Error as error:
-                found = self._behind(database, start) if places < _MOST_PLACES else None
-                places += 1
-                rows = f"from {start}" if start > _FIRST else "from the first"
-                rows += f" to {found - 1}" if found is not None else " on"
-                losses.append(
-                    Loss(f"table {self.name}: rows {rows} cannot be read: {described(error)}")
-                )
-                if found is None:
-                    return
-                start = found
+            except DATABASE_ERRORS as error:
+                why = described(error)
+            row = self._one(database, columns, start)
+            if row is not None:  # the library drops the last row before the damage
+                start = row[0] + 1
+                yield row
+                continue
+            places += 1
+            found = self._behind(database, start)
+            rows = f"{start} to {found - 1}" if found is not None else f"{start} to the last"
+            losses.append(Loss(f"table {self.name}: rows {rows} cannot be read: {why}"))
+            if found is None:
+                return
+            start = found
+        if places == _MOST_PLACES:
+            losses.append(Loss(f"table {self.name}: what follows row {start} was not tried"))
 
-    def _question(self, columns: str, condition: str = "", end: str = "") -> str:
-        # An index may be damaged, or say something else than the table.
-        also = f" AND {condition}" if condition else ""
-        return (
+    def _asked(
+        self, database: sqlite3.Connection, columns: str, start: int, limit: str = ""
+    ) -> Iterator[Row]:
+        """Rows from a number on.
+
+        Raises:
+            DATABASE_ERRORS: they are damaged, from the next on.
+        """
+        # An index is not used: it may be damaged, or say something else than the table.
+        question = (
             f"SELECT {_NUMBER}, {columns} FROM {self.name} NOT INDEXED "  # noqa: S608 (see the class)
-            f"WHERE {_NUMBER} >= ?{also} ORDER BY {_NUMBER} {end}"
+            f"WHERE {_NUMBER} >= ? ORDER BY {_NUMBER} {limit}"
         )
+        for number, *values in database.execute(question, (start,)):
+            if type(number) is not int or number < start:
+                raise sqlite3.DatabaseError("its rows are in disorder")
+            start = number + 1
+            yield number, tuple(values)
+
+    def _one(self, database: sqlite3.Connection, columns: str, start: int) -> Row | None:
+        """The first row from a number on; None where that cannot be read, or is none."""
+        try:
+            return next(self._asked(database, columns, start, "LIMIT 1"), None)
+        except DATABASE_ERRORS:
+            return None
 
     def _behind(self, database: sqlite3.Connection, start: int) -> int | None:
         """The first number from which on rows can be read again; None if there is none.
@@ -206,9 +227,9 @@ class Table:
         found = self._next(database, start)
         if found is not None:  # what is damaged are that row's values
             return max(found, start) + 1
-        low, high = start, max(start, 0) + 1
+        low, high = start, start + 1
         while (found := self._next(database, high)) is None:
-            low, high = high, 2 * high - max(start, 0)
+            low, high = high, 2 * high - start
             if high > _LAST:
                 return None
         while high - low > 1:
@@ -220,9 +241,5 @@ class Table:
         return max(found, start + 1)
 
     def _next(self, database: sqlite3.Connection, start: int) -> int | None:
-        """The number of the first row from there on; None where that cannot be read, or is none."""
-        try:
-            row = database.execute(self._question("1", end="LIMIT 1"), (start,)).fetchone()
-        except sqlite3.Error:
-            return None
-        return row[0] if row and type(row[0]) is int else None
+        row = self._one(database, "1", start) if start <= _LAST else None
+        return None if row is None else row[0]

@@ -6,6 +6,7 @@ import os
 import struct
 import zlib
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
@@ -25,7 +26,13 @@ from tunenet_logs.formats.base import (
     Record,
     described,
 )
-from tunenet_logs.formats.compression import MAX_PART_BYTES, Budget, unpack
+from tunenet_logs.formats.compression import (
+    MAX_PART_BYTES,
+    Budget,
+    is_packed,
+    unpack,
+    unpack_message,
+)
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -191,7 +198,11 @@ class _Reading:
         self.messages += 1
         if self.topics is not None and channel.topic not in self.topics:
             return ()
-        return (RawMessage(channel, log_ns, body[_MESSAGE.size :], publish_ns, sequence),)
+        data = body[_MESSAGE.size :]
+        if channel.encoding == "cdr" and is_packed(data):
+            with suppress(ValueError):  # a damaged one is that message's matter, not the chunk's
+                data = unpack_message(data, self.budget)
+        return (RawMessage(channel, log_ns, data, publish_ns, sequence),)
 
     def _orphan(self, number: int, body: memoryview) -> Sequence[Record]:
         """A message before its channel was described: that was in a damaged chunk perhaps."""

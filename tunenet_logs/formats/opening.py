@@ -31,7 +31,7 @@ def opened(path: Path) -> Container | Episode:
     Raises:
         LogError: there is no such file, or it is nothing that is read here.
     """
-    if path.is_dir():
+    if is_folder(path):
         return read_folder
     start = _start_of(path)
     if start.startswith(_ZSTD_MAGIC):
@@ -40,6 +40,14 @@ def opened(path: Path) -> Container | Episode:
         if start.startswith(magic):
             return container
     return _read_foreign(path)
+
+
+def is_folder(path: Path) -> bool:
+    """Whether a log is a folder of files; not where that cannot even be asked."""
+    try:
+        return path.is_dir()
+    except OSError:
+        return False
 
 
 def _start_of(path: Path) -> bytes:

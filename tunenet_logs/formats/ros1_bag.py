@@ -5,7 +5,6 @@ By the stream and not by the index at the end: a killed `rosbag record` leaves n
 
 from __future__ import annotations
 
-import os
 from collections.abc import Generator, Iterator, Sequence
 from pathlib import Path
 from typing import BinaryIO
@@ -27,10 +26,8 @@ from tunenet_logs.formats.ros1_records import (
     CONNECTION,
     INDEX,
     MESSAGE,
-    MOST_HEAD_BYTES,
-    U32,
     Head,
-    Search,
+    RecordFile,
     fields_of,
     head_at,
 )
@@ -38,9 +35,6 @@ from tunenet_logs.formats.ros1_records import (
 MAGIC = b"#ROSBAG V"
 
 _VERSION = b"2.0\n"
-_USUAL_HEAD_BYTES = 256
-_FIRST_BLOCK_BYTES = 16 * 1024
-_BLOCK_BYTES = 1024 * 1024
 _PARSED = frozenset((MESSAGE, CONNECTION))
 _COUNTED = {INDEX: 12, CHUNK_INFO: 8}
 """Bytes of each entry that such a record counts."""
@@ -68,12 +62,10 @@ class _Reading:
         self, path: Path, file: BinaryIO, losses: list[Loss], topics: Sequence[str] | None
     ) -> None:
         self.path = path
-        self.file = file
-        self.size = os.fstat(file.fileno()).st_size
+        self.file = RecordFile(file)
         self.losses = losses
         self.topics = topics
-        self.budget = Budget(self.size)
-        self.search = Search()
+        self.budget = Budget(self.file.size)
         self.channels: dict[int, RawChannel] = {}
         self.index: dict[int, RawChannel] | None = None
         self.index_at = 0
@@ -86,14 +78,14 @@ class _Reading:
 
     def records(self) -> Iterator[Record]:
         at = len(MAGIC) + len(_VERSION)
-        while at < self.size:
+        while at < self.file.size:
             self.has_index |= at == self.index_at
             try:
-                head = self._head(at)
+                head = self.file.head(at)
                 if head.op == CHUNK:
                     at = yield from self._chunk(head, at)
                     continue
-                if head.end > self.size:
+                if head.end > self.file.size:
                     raise ValueError(f"a record claims {head.data_bytes} bytes")
             except DAMAGED as error:
                 at = self._past(at, described(error))
@@ -103,37 +95,15 @@ class _Reading:
         self.has_index |= at == self.index_at
         self._close()
 
-    def _head(self, at: int) -> Head:
-        """The head of the record there, by its place in the file.
-
-        Raises:
-            DAMAGED: there is none.
-        """
-        block = self._block(at, _USUAL_HEAD_BYTES)
-        (length,) = U32.unpack_from(block)
-        if length + 2 * U32.size > len(block):
-            block = self._block(at, min(length, MOST_HEAD_BYTES) + 2 * U32.size)
-        head = head_at(block)
-        return Head(head.op, head.fields, at + head.data_at, head.data_bytes)
-
-    def _block(self, at: int, length: int) -> bytes:
-        self.file.seek(at)
-        return self.file.read(length)
-
     def _record(self, head: Head, at: int) -> Sequence[Record]:
         try:
             if head.op in _PARSED:
-                return self._parse(head, self._data(head))
+                return self._parse(head, self.file.data(head))
             self._note(head)
         except DAMAGED as error:
             what = f"a damaged record was left out: {described(error)}"
             self._lose(what, at, head.end - at)
         return ()
-
-    def _data(self, head: Head) -> bytes:
-        if head.data_bytes > MAX_PART_BYTES:
-            raise ValueError(f"it claims {head.data_bytes} bytes, too many to be read")
-        return self._block(head.data_at, head.data_bytes)
 
     def _chunk(self, head: Head, at: int) -> Generator[Record, None, int]:
         """A chunk's records; gives the place to go on from.
@@ -148,9 +118,9 @@ class _Reading:
                 what = f"a chunk claims {stated} bytes and {head.data_bytes}"
                 self.losses.append(Loss(what, at_byte=at, harmless=True))
             return head.data_at
-        if head.end > self.size or not head.data_bytes:  # it ends with the file, or was not closed
-            end = self._find(head.data_at)
-            data = self._block(head.data_at, min(end - head.data_at, MAX_PART_BYTES))
+        if head.end > self.file.size or not head.data_bytes:  # cut, or never closed
+            end = self.file.find(head.data_at)
+            data = self.file.block(head.data_at, min(end - head.data_at, MAX_PART_BYTES))
             plain = unpack_start(data, compression, MAX_PART_BYTES)
             self.budget.spend(len(plain))
             self._lose("a chunk is cut; it was read as far as it goes", at, end - at)
@@ -159,22 +129,15 @@ class _Reading:
         try:
             if stated <= MAX_PART_BYTES:
                 self.budget.spend(stated)
-            plain = bytes(unpack(self._data(head), compression, stated))
+            plain = bytes(unpack(self.file.data(head), compression, stated))
         except DAMAGED as error:
-            end = head.end if self._is_head(head.end) else self._find(head.data_at)
+            end = head.end if self.file.is_border(head.end) else self.file.find(head.data_at)
             self._lose(f"a damaged chunk was left out: {described(error)}", at, end - at)
             return end
         lost = yield from self._inside(plain)
         if lost:
             self._lose(f"{lost} bytes of an unpacked chunk are damaged", at, head.end - at)
         return head.end
-
-    def _is_head(self, at: int) -> bool:
-        try:
-            self._head(at)
-        except DAMAGED:
-            return at == self.size
-        return True
 
     def _inside(self, plain: bytes) -> Generator[Record, None, int]:
         """The records of an unpacked chunk; gives how many bytes of it belong to none."""
@@ -186,8 +149,7 @@ class _Reading:
                     raise ValueError("no such record can be in a chunk")
                 found = self._parse(head, memoryview(plain)[head.data_at : head.end])
             except DAMAGED:
-                behind = self.search.find(plain, at + 1)
-                behind = len(plain) if behind is None else behind
+                behind = self.file.find_in(plain, at + 1)
                 lost += behind - at
                 at = behind
                 continue
@@ -232,8 +194,8 @@ class _Reading:
             self.index = {}
             at = self.index_at
             try:
-                while 0 < at < self.size and (head := self._head(at)).op == CONNECTION:
-                    channel = _described(head, self._data(head))
+                while 0 < at < self.file.size and (head := self.file.head(at)).op == CONNECTION:
+                    channel = _described(head, self.file.data(head))
                     self.index.setdefault(head.number(b"conn"), channel)
                     at = head.end
             except DAMAGED:
@@ -252,7 +214,7 @@ class _Reading:
             if count * _COUNTED[head.op] != head.data_bytes:
                 raise ValueError(f"it counts {count} entries")
             if head.op == CHUNK_INFO:
-                pairs = memoryview(self._data(head)).cast("I")
+                pairs = memoryview(self.file.data(head)).cast("I")
                 count = sum(pairs[1::2])
                 self.infos += 1
             self.told[head.op] += count
@@ -266,24 +228,13 @@ class _Reading:
 
     def _past(self, at: int, why: str) -> int:
         """Behind a place that is no record; the file's end where nothing more is found."""
-        behind = self._find(at + 1)
-        if behind < self.size:
+        behind = self.file.find(at + 1)
+        if behind < self.file.size:
             what = f"{why}; what follows was found again"
         else:
             what = "its last record is cut (a recording that did not end?)"
         self._lose(what, at, behind - at)
         return behind
-
-    def _find(self, start: int) -> int:
-        """Where the next record begins; the file's end if there is none."""
-        length = _FIRST_BLOCK_BYTES
-        while start < self.size:
-            found = self.search.find(self._block(start, length + Search.overlap), 0)
-            if found is not None:
-                return start + found
-            start += length
-            length = min(2 * length, _BLOCK_BYTES)
-        return self.size
 
     def _close(self) -> None:
         if not self.has_index or self.infos < self.chunks_told:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import BinaryIO
+
+from tunenet_logs.formats.compression import MAX_PART_BYTES
 
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = range(2, 8)
 """The kinds of records, by the byte that a head's field `op` holds."""
@@ -21,6 +25,9 @@ _NEEDED = {
     CHUNK_INFO: (b"chunk_pos", b"count"),
     CONNECTION: (b"conn", b"topic"),
 }
+_USUAL_HEAD_BYTES = 256
+_FIRST_BLOCK_BYTES = 16 * 1024
+_BLOCK_BYTES = 1024 * 1024
 _MARK = b"\x04\x00\x00\x00op="
 _LEADS = range(4, 64)
 """How far before its field `op` a head may begin; others write little before it."""
@@ -96,6 +103,67 @@ def fields_of(data: bytes) -> dict[bytes, bytes]:
         fields[name] = value
         at += length
     return fields
+
+
+class RecordFile:
+    """A file of records, of which any part may be damaged."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self._search = Search()
+        self.size = os.fstat(file.fileno()).st_size
+
+    def block(self, at: int, length: int) -> bytes:
+        """The bytes there, fewer at the file's end."""
+        self._file.seek(at)
+        return self._file.read(length)
+
+    def head(self, at: int) -> Head:
+        """The head of the record there, by its place in the file.
+
+        Raises:
+            ValueError, LookupError, struct.error: there is none.
+        """
+        block = self.block(at, _USUAL_HEAD_BYTES)
+        (length,) = U32.unpack_from(block)
+        if length + 2 * U32.size > len(block):
+            block = self.block(at, min(length, MOST_HEAD_BYTES) + 2 * U32.size)
+        head = head_at(block)
+        return Head(head.op, head.fields, at + head.data_at, head.data_bytes)
+
+    def data(self, head: Head) -> bytes:
+        """A record's data.
+
+        Raises:
+            ValueError: it is too large, or behind the file's end.
+        """
+        if head.data_bytes > MAX_PART_BYTES or head.end > self.size:
+            raise ValueError(f"a record claims {head.data_bytes} bytes")
+        return self.block(head.data_at, head.data_bytes)
+
+    def is_border(self, at: int) -> bool:
+        """Whether a record begins there, or the file ends."""
+        try:
+            self.head(at)
+        except (ValueError, LookupError, struct.error):
+            return at == self.size
+        return True
+
+    def find(self, start: int) -> int:
+        """Where the next record begins; the file's end if there is none."""
+        length = _FIRST_BLOCK_BYTES
+        while start < self.size:
+            found = self._search.find(self.block(start, length + Search.overlap), 0)
+            if found is not None:
+                return start + found
+            start += length
+            length = min(2 * length, _BLOCK_BYTES)
+        return self.size
+
+    def find_in(self, plain: bytes, start: int) -> int:
+        """The same in an unpacked part of it."""
+        found = self._search.find(plain, start)
+        return len(plain) if found is None else found
 
 
 class Search:

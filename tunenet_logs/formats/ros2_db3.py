@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
-
-import zstandard
 
 from tunenet_logs.errors import LogError
 from tunenet_logs.formats.base import (
@@ -18,8 +17,8 @@ from tunenet_logs.formats.base import (
     Record,
     described,
 )
-from tunenet_logs.formats.compression import Budget, unpack
-from tunenet_logs.formats.database import NoTableError, Table, opened, table_of
+from tunenet_logs.formats.compression import Budget, is_packed, unpack_message
+from tunenet_logs.formats.database import DATABASE_ERRORS, NoTableError, Table, opened, table_of
 
 _MESSAGES = ("topic_id", "timestamp", "data")
 _TOPICS = ("id", "name", "type", "serialization_format")
@@ -30,8 +29,6 @@ _MORE = {
     "type_description_hash": "topic_type_hash",
 }
 """What else a topic may say: its columns, and what the same is called in an MCAP of ROS 2."""
-_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-"""How a compressed message begins; CDR begins with a zero."""
 
 
 def read_db3(
@@ -45,7 +42,7 @@ def read_db3(
             yield from channels.values()
             reading = _Reading(channels, losses, Budget(path.stat().st_size))
             yield from reading.messages(database, table, topics)
-    except (sqlite3.Error, NoTableError) as error:
+    except (*DATABASE_ERRORS, NoTableError) as error:
         raise LogError(f"{path}: is no ROS 2 bag that can be read: {described(error)}") from error
     what = "a .db3 bag carries no checksum, so its integrity cannot be vouched for"
     losses.append(Loss(what, harmless=True))
@@ -64,61 +61,54 @@ class _Reading:
     def messages(
         self, database: sqlite3.Connection, table: Table, topics: Sequence[str] | None
     ) -> Iterator[RawMessage]:
-        damaged = unknown = 0
+        damaged = unknown = seen = last = 0
         first = ""
-        for number, (topic_id, log_ns, data) in table.rows(
-            database, self._losses, self._condition(topics)
-        ):
-            channel = self._channels.get(topic_id) if type(topic_id) is int else None
+        before = len(self._losses)
+        for last, values in self._only(table, topics).rows(database, self._losses):
+            seen += 1
+            channel = self._channels.get(values[0]) if type(values[0]) is int else None
             if channel is None:
                 unknown += 1
-                continue
-            try:
-                yield self._message(channel, log_ns, data)
-            except DAMAGED as error:
-                first = first or f"message {number}, {described(error)}"
-                damaged += 1
+            elif topics is None or channel.topic in topics:
+                try:
+                    yield self._message(channel, *values[1:])
+                except DAMAGED as error:
+                    first = first or f"message {last}, {described(error)}"
+                    damaged += 1
             if self._budget.is_spent:
-                self._lose(f"reading stopped at message {number}: the log unpacks to too much")
+                self._lose(f"reading stopped at message {last}: the log unpacks to too much")
                 break
+        if last > seen and len(self._losses) == before:
+            self._lose(f"{last - seen} of its messages are missing among those numbered to {last}")
         if damaged:
             self._lose(f"{damaged} messages are damaged (the first: {first})")
         if unknown:
             self._lose(f"{unknown} messages belong to topics that nothing describes")
 
-    def _condition(self, topics: Sequence[str] | None) -> str:
+    def _only(self, table: Table, topics: Sequence[str] | None) -> Table:
+        """The table, with the data of some topics only: that of others is not even loaded."""
         if topics is None:
-            return ""
+            return table
         wanted = [str(key) for key, one in self._channels.items() if one.topic in topics]
-        return f"topic_id IN ({', '.join(wanted)})"
+        data = f"CASE WHEN topic_id IN ({', '.join(wanted)}) THEN data END"
+        return replace(table, columns=(*table.columns[:-1], data))
 
     def _message(self, channel: RawChannel, log_ns: Any, data: Any) -> RawMessage:
         if type(log_ns) is not int or type(data) is not bytes:
             raise TypeError("its time is no whole number, or its data no bytes")
         self._budget.spend(len(data))
-        plain: bytes | memoryview = data
-        if data.startswith(_ZSTD_MAGIC):
-            stated = _stated(data)
-            plain = unpack(data, "zstd", stated)
-            self._budget.spend(stated)
+        plain = unpack_message(data, self._budget) if is_packed(data) else data
         return RawMessage(channel, log_ns, plain, log_ns)
 
     def _lose(self, what: str) -> None:
         self._losses.append(Loss(what))
 
 
-def _stated(data: bytes) -> int:
-    try:
-        return zstandard.get_frame_parameters(data).content_size
-    except zstandard.ZstdError as error:
-        raise ValueError(f"zstd data is damaged: {error}") from error
-
-
 def _channels(database: sqlite3.Connection, losses: list[Loss]) -> dict[int, RawChannel]:
     """The topics, by their numbers.
 
     Raises:
-        NoTableError, sqlite3.Error: there are none.
+        NoTableError, DATABASE_ERRORS: there are none.
     """
     definitions = _definitions(database, losses)
     table = table_of(database, "topics", _TOPICS, tuple(_MORE))

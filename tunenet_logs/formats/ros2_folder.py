@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from tunenet_logs.errors import LogError
-from tunenet_logs.formats.base import Container, Loss, Record
+from tunenet_logs.formats.base import Container, Loss, RawMetadata, Record
 from tunenet_logs.formats.database import MAGIC as DB3_MAGIC
 from tunenet_logs.formats.mcap_container import MAGIC as MCAP_MAGIC
 from tunenet_logs.formats.mcap_container import read_mcap
 from tunenet_logs.formats.ros2_db3 import read_db3
+from tunenet_logs.messages import INFO_RECORD
 
 _READERS: dict[str, tuple[bytes, Container]] = {
     ".db3": (DB3_MAGIC, read_db3),
@@ -34,28 +35,55 @@ def read_folder(
     if len(files) > 1 and not (path / _INDEX).is_file():
         what = f"no {_INDEX}; {files[0].name} to {files[-1].name} were read as one recording"
         losses.append(Loss(what, harmless=True))
-    doubts: dict[str, list[str]] = {}
     troubles: list[str] = []
+    told: set[Path] = set()
+    begin = len(losses)
     for file in files:
         lost: list[Loss] = []
-        magic, read = _READERS[file.suffix]
         try:
-            _check_start(file, magic)
-            yield from read(file, lost, topics)
+            for record in _records(file, lost, topics):
+                if isinstance(record, RawMetadata) and record.name == INFO_RECORD:
+                    told.add(file)
+                yield record
         except LogError as error:
             trouble = str(error).removeprefix(f"{file}: ")
             troubles.append(f"{file.name} {trouble}")
             lost.append(Loss(trouble, size=file.stat().st_size))
-        for one in lost:
-            if one.harmless:
-                doubts.setdefault(one.what, []).append(file.name)
-            else:
-                losses.append(replace(one, file=file.name))
+        losses += [replace(one, file=file.name) for one in lost]
+        if len(told) > 1:  # our own recordings are one file each
+            raise _several(path, files)
     if len(troubles) == len(files):
         raise LogError(f"{path}: no file in it can be read; {troubles[0]}")
-    for what, names in doubts.items():
-        name = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
-        losses.append(Loss(what, file=name, harmless=True))
+    losses[begin:] = _without_repeats(losses[begin:])
+
+
+def _records(file: Path, losses: list[Loss], topics: Sequence[str] | None) -> Iterator[Record]:
+    """Those of one file.
+
+    Raises:
+        LogError: nothing of it can be read.
+    """
+    magic, read = _READERS[file.suffix]
+    with open(file, "rb") as stream:
+        start = stream.read(len(magic))
+    if not start:
+        raise LogError(f"{file}: is empty")
+    if start != magic:
+        raise LogError(f"{file}: is no {file.suffix} file")
+    yield from read(file, losses, topics)
+
+
+def _without_repeats(losses: Sequence[Loss]) -> list[Loss]:
+    """What is doubtful in the same way in every file is said once, behind what is lost."""
+    doubts: dict[str, list[Loss]] = {}
+    for one in losses:
+        if one.harmless:
+            doubts.setdefault(one.what, []).append(one)
+    lost = [one for one in losses if not one.harmless]
+    for same in doubts.values():
+        first, more = same[0], len(same) - 1
+        lost.append(replace(first, file=f"{first.file} and {more} more") if more else first)
+    return lost
 
 
 def _files(folder: Path) -> list[Path]:
@@ -82,15 +110,10 @@ def _files(folder: Path) -> list[Path]:
     numbered = {one: match for one in files if (match := _NUMBERED.fullmatch(one.stem))}
     names = {(one.suffix, match[1]) for one, match in numbered.items()}
     if len(numbered) < len(files) or len(names) > 1:
-        shown = " and ".join(sorted(one.name for one in files)[:2])
-        raise LogError(f"{folder}: holds several recordings ({shown}, ...); name one of them")
+        raise _several(folder, files)
     return sorted(files, key=lambda one: (int(numbered[one][2]), one.name))
 
 
-def _check_start(file: Path, magic: bytes) -> None:
-    with open(file, "rb") as stream:
-        start = stream.read(len(magic))
-    if not start:
-        raise LogError(f"{file}: is empty")
-    if start != magic:
-        raise LogError(f"{file}: is no {file.suffix} file")
+def _several(folder: Path, files: Iterable[Path]) -> LogError:
+    shown = ", ".join(sorted(one.name for one in files)[:2])
+    return LogError(f"{folder}: is a directory with several recordings ({shown}); name one of them")
