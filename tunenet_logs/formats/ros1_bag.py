@@ -24,8 +24,8 @@ from tunenet_logs.formats.ros1_records import (
     CHUNK,
     CHUNK_INFO,
     CONNECTION,
+    IN_CHUNKS,
     INDEX,
-    MESSAGE,
     Head,
     RecordFile,
     fields_of,
@@ -35,7 +35,6 @@ from tunenet_logs.formats.ros1_records import (
 MAGIC = b"#ROSBAG V"
 
 _VERSION = b"2.0\n"
-_PARSED = frozenset((MESSAGE, CONNECTION))
 _COUNTED = {INDEX: 12, CHUNK_INFO: 8}
 """Bytes of each entry that such a record counts."""
 
@@ -97,7 +96,7 @@ class _Reading:
 
     def _record(self, head: Head, at: int) -> Sequence[Record]:
         try:
-            if head.op in _PARSED:
+            if head.op in IN_CHUNKS:
                 return self._parse(head, self.file.data(head))
             self._note(head)
         except DAMAGED as error:
@@ -145,7 +144,7 @@ class _Reading:
         while at < len(plain):
             try:
                 head = head_at(plain, at)
-                if head.end > len(plain) or head.op not in _PARSED:
+                if head.end > len(plain) or head.op not in IN_CHUNKS:
                     raise ValueError("no such record can be in a chunk")
                 found = self._parse(head, memoryview(plain)[head.data_at : head.end])
             except DAMAGED:

@@ -13,6 +13,8 @@ from tunenet_logs.formats.compression import MAX_PART_BYTES
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = range(2, 8)
 """The kinds of records, by the byte that a head's field `op` holds."""
 
+IN_CHUNKS = frozenset((MESSAGE, CONNECTION))
+
 MOST_HEAD_BYTES = 64 * 1024
 """A head names a topic at most; what a message is like lies in a record's data."""
 
@@ -153,12 +155,20 @@ class RecordFile:
         """Where the next record begins; the file's end if there is none."""
         length = _FIRST_BLOCK_BYTES
         while start < self.size:
-            found = self._search.find(self.block(start, length + Search.overlap), 0)
-            if found is not None:
-                return start + found
+            block = self.block(start, length + Search.overlap)
+            found = self._search.find(block, 0)
+            while found is not None:
+                if self._is_whole(start + found):
+                    return start + found
+                found = self._search.find(block, found + 1)
             start += length
             length = min(2 * length, _BLOCK_BYTES)
         return self.size
+
+    def _is_whole(self, at: int) -> bool:
+        """Whether a head that was found is a record's, and no shred of one in an LZ4 chunk."""
+        head = self.head(at)
+        return head.op not in IN_CHUNKS or self.is_border(head.end)
 
     def find_in(self, plain: bytes, start: int) -> int:
         """The same in an unpacked part of it."""
