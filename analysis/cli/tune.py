@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 _DESCRIPTION = """\
 Find the physical parameters that make a simulator move as a log shows: for a
 dropped ball, its coefficient of restitution. Reads videos (.mp4, .mov, ...), and
-MCAP logs that hold the ball's position (geometry_msgs/msg/PoseStamped) or a camera's
+logs (MCAP, ROS bags, their folders) that hold the ball's position (geometry_msgs/msg/PoseStamped) or a camera's
 pictures (sensor_msgs/msg/CompressedImage) under any topic, ours or not.
 
 Writes NAME.json (the result) and NAME.rrd (the review, for `rerun NAME.rrd`)
