@@ -17,6 +17,7 @@ from analysis.report import Row, row_of, to_json
 from analysis.review import write_review
 from analysis.tuning import Options, Tuning, tune_log
 from tunenet_logs.errors import LogError, UsageError, WeightsError
+from tunenet_logs.formats.opening import is_folder
 from tunenet_logs.log_place import ACTIVE_SUFFIX
 from tunenet_logs.progress import Progress
 
@@ -98,7 +99,7 @@ def _one(log: Path, options: Options, name: Path) -> Result:
     review = None
     report, recording = _results(name)
     try:
-        if log.is_file():
+        if log.is_file() or tuning.episode is not None:  # a folder that is a log
             name.parent.mkdir(parents=True, exist_ok=True)
             episode = tuning.episode
             if episode is not None and (episode.signals or episode.picture_topics):
@@ -132,12 +133,18 @@ def _results(name: Path) -> tuple[Path, Path]:
     return name.with_name(name.name + ".json"), name.with_name(name.name + ".rrd")
 
 
+def _name(log: Path, folder: Path | None) -> Path:
+    """That of one log: a file's without its suffix; a folder's is its own, and beside it."""
+    log = log.resolve() if log.name in ("", "..") else log
+    name = os.fsencode(log.name).decode(errors="replace") or "log"
+    stem = name if is_folder(log) else name.removesuffix(ACTIVE_SUFFIX).rsplit(".", 1)[0]
+    return (folder or log.parent) / (stem or name)
+
+
 def _names(logs: Iterable[Path], folder: Path | None) -> list[Path]:
     """Where each log's results go, without the suffix; logs of one stem get their folder's name."""
     logs = list(logs)
-    shown = [os.fsencode(log.name).decode(errors="replace") for log in logs]
-    stems = [name.removesuffix(ACTIVE_SUFFIX).rsplit(".", 1)[0] or name for name in shown]
-    names = [(folder or log.parent) / stem for log, stem in zip(logs, stems, strict=True)]
+    names = [_name(log, folder) for log in logs]
     taken = Counter(names)
     names = [
         name.with_name(f"{log.resolve().parent.name}_{name.name}") if taken[name] > 1 else name

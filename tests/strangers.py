@@ -6,10 +6,14 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
+from rosbags.rosbag1 import Writer as BagWriter
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import Writer as FolderWriter
 from rosbags.typesys import Stores, get_typestore
 
 POSE = "geometry_msgs/msg/PoseStamped"
@@ -58,6 +62,23 @@ class Stranger:
         return self.start_ns + np.round(times * 1e9).astype(np.int64), positions
 
 
+def _pose(types: Any, stamp_ns: int, position: np.ndarray, **more: Any) -> Any:
+    """A PoseStamped; `more` goes into its header."""
+    seconds, nanoseconds = divmod(int(stamp_ns), 1_000_000_000)
+    x, y, z = (float(one) for one in position)
+    return types[POSE](
+        header=types["std_msgs/msg/Header"](
+            stamp=types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds),
+            frame_id="map",
+            **more,
+        ),
+        pose=types["geometry_msgs/msg/Pose"](
+            position=types["geometry_msgs/msg/Point"](x=x, y=y, z=z),
+            orientation=types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
+        ),
+    )
+
+
 def write_poses(
     path: Path,
     stamps_ns: np.ndarray | list[int],
@@ -75,18 +96,8 @@ def write_poses(
         text = store.generate_msgdef(POSE, ros_version=2)[0].encode()
         schema = writer.register_schema(POSE, "ros2msg", text)
         channel = writer.register_channel(topic, "cdr", schema)
-        for stamp, (x, y, z) in zip(stamps_ns, positions, strict=True):
-            seconds, nanoseconds = divmod(int(stamp) if set_header else 0, 1_000_000_000)
-            message = types[POSE](
-                header=types["std_msgs/msg/Header"](
-                    stamp=types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds),
-                    frame_id="map",
-                ),
-                pose=types["geometry_msgs/msg/Pose"](
-                    position=types["geometry_msgs/msg/Point"](x=float(x), y=float(y), z=float(z)),
-                    orientation=types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
-                ),
-            )
+        for stamp, position in zip(stamps_ns, positions, strict=True):
+            message = _pose(types, int(stamp) if set_header else 0, position)
             data = bytes(store.serialize_cdr(message, POSE))
             writer.add_message(channel, int(stamp), data, int(stamp))
         writer.finish()
@@ -104,19 +115,8 @@ def write_ros1(
         text = store.generate_msgdef(POSE, ros_version=1)[0].encode()
         schema = writer.register_schema("geometry_msgs/PoseStamped", "ros1msg", text)
         channel = writer.register_channel(topic, "ros1", schema)
-        for count, (stamp, (x, y, z)) in enumerate(zip(stamps_ns, positions, strict=True)):
-            seconds, nanoseconds = divmod(int(stamp), 1_000_000_000)
-            message = types[POSE](
-                header=types["std_msgs/msg/Header"](
-                    seq=count,
-                    stamp=types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds),
-                    frame_id="map",
-                ),
-                pose=types["geometry_msgs/msg/Pose"](
-                    position=types["geometry_msgs/msg/Point"](x=float(x), y=float(y), z=float(z)),
-                    orientation=types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
-                ),
-            )
+        for count, (stamp, position) in enumerate(zip(stamps_ns, positions, strict=True)):
+            message = _pose(types, int(stamp), position, seq=count)
             data = bytes(store.serialize_ros1(message, POSE))
             writer.add_message(channel, int(stamp), data, int(stamp))
         writer.finish()
@@ -210,3 +210,45 @@ def without_chunks(source: Path, path: Path) -> None:
                 channels[channel.id], message.log_time, message.data, message.publish_time
             )
         writer.finish()
+
+
+def write_poses_bag(
+    path: Path,
+    stamps_ns: np.ndarray | list[int],
+    positions: np.ndarray,
+    topic: str = "/vrpn/thing/pose",
+    compression: BagWriter.CompressionFormat | None = None,
+    chunk_bytes: int = 16 * 1024,
+) -> None:
+    """The same as a ROS 1 bag."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    writer = BagWriter(path)
+    if compression is not None:
+        writer.set_compression(compression)
+    writer.chunk_threshold = chunk_bytes
+    with writer:
+        connection = writer.add_connection(topic, POSE, typestore=store)
+        for count, (stamp, position) in enumerate(zip(stamps_ns, positions, strict=True)):
+            message = _pose(store.types, int(stamp), position, seq=count)
+            writer.write(connection, int(stamp), bytes(store.serialize_ros1(message, POSE)))
+
+
+def write_poses_folder(
+    path: Path,
+    stamps_ns: np.ndarray | list[int],
+    positions: np.ndarray,
+    topic: str = "/vrpn/thing/pose",
+    storage: StoragePlugin = StoragePlugin.SQLITE3,
+    mode: CompressionMode = CompressionMode.NONE,
+) -> Path:
+    """The same as a ROS 2 bag's folder; gives the one file in it."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    writer = FolderWriter(path, version=9, storage_plugin=storage)
+    if mode is not CompressionMode.NONE:
+        writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        connection = writer.add_connection(topic, POSE, typestore=store)
+        for stamp, position in zip(stamps_ns, positions, strict=True):
+            message = _pose(store.types, int(stamp), position)
+            writer.write(connection, int(stamp), bytes(store.serialize_cdr(message, POSE)))
+    return next(one for one in path.iterdir() if one.name != "metadata.yaml")

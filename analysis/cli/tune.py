@@ -20,9 +20,10 @@ if TYPE_CHECKING:
 
 _DESCRIPTION = """\
 Find the physical parameters that make a simulator move as a log shows: for a
-dropped ball, its coefficient of restitution. Reads videos (.mp4, .mov, ...), and
-MCAP logs that hold the ball's position (geometry_msgs/msg/PoseStamped) or a camera's
-pictures (sensor_msgs/msg/CompressedImage) under any topic, ours or not.
+dropped ball, its coefficient of restitution. Reads videos (.mp4, .mov, ...), tables
+(.csv) and logs (MCAP, ROS 1 .bag, ROS 2 .db3 and bag folders) that hold the ball's
+position (PoseStamped, Odometry, TF, ...) or a camera's pictures under any topic, ours
+or not.
 
 Writes NAME.json (the result) and NAME.rrd (the review, for `rerun NAME.rrd`)
 beside each log, and prints a table. Exit code 1 if a log was rejected."""

@@ -12,6 +12,9 @@ MAX_PART_BYTES = 128 * 1024 * 1024
 
 _FREE_BYTES = 1024 * 1024 * 1024
 _MOST_RATIO = 256
+_PIECE_BYTES = 64 * 1024
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+"""No message of ROS begins like this: its encoding begins with a zero."""
 
 
 class Budget:
@@ -24,6 +27,11 @@ class Budget:
     def __init__(self, file_bytes: int) -> None:
         self._left = _FREE_BYTES + _MOST_RATIO * file_bytes
 
+    @property
+    def is_spent(self) -> bool:
+        """Whether more was asked for than there was."""
+        return self._left < 0
+
     def spend(self, count: int) -> None:
         """Take from it.
 
@@ -33,6 +41,26 @@ class Budget:
         self._left -= count
         if self._left < 0:
             raise ValueError(f"the log unpacks to more than {_MOST_RATIO} times its size")
+
+
+def is_packed(message: bytes | memoryview) -> bool:
+    """Whether a recorder packed that message by itself, as ROS 2 can."""
+    return message[:4] == _ZSTD_MAGIC
+
+
+def unpack_message(message: bytes | memoryview, budget: Budget) -> bytes | memoryview:
+    """A message that `is_packed`, as it was published.
+
+    Raises:
+        ValueError: it is damaged or too large, or the budget is spent.
+    """
+    try:
+        stated = zstandard.get_frame_parameters(message).content_size
+    except zstandard.ZstdError as error:
+        raise ValueError(f"zstd data is damaged: {error}") from error
+    if stated <= MAX_PART_BYTES:
+        budget.spend(stated)
+    return unpack(message, "zstd", stated)
 
 
 def unpack(data: bytes | memoryview, compression: str, stated: int) -> bytes | memoryview:
@@ -65,3 +93,28 @@ def unpack(data: bytes | memoryview, compression: str, stated: int) -> bytes | m
     if len(plain) != stated:
         raise ValueError(f"a part holds {len(plain)} bytes where it states {stated}")
     return plain
+
+
+def unpack_start(data: bytes | memoryview, compression: str, most: int) -> bytes:
+    """As much as can be unpacked of data that is cut; nothing of an unknown compression.
+
+    Args:
+        data: packed, with or without its end.
+        compression: "lz4", "bz2", or "" or "none".
+        most: bytes to unpack at most.
+    """
+    if compression in ("", "none"):
+        return bytes(data[:most])
+    if compression not in ("lz4", "bz2"):
+        return b""
+    stream = lz4.frame.LZ4FrameDecompressor() if compression == "lz4" else bz2.BZ2Decompressor()
+    plain = bytearray()
+    try:
+        for at in range(0, len(data), _PIECE_BYTES):
+            piece = data[at : at + _PIECE_BYTES]
+            plain += stream.decompress(piece, max_length=most - len(plain))
+            if stream.eof or len(plain) >= most:
+                break
+    except (RuntimeError, OSError, EOFError, MemoryError):
+        pass  # what came before is whole
+    return bytes(plain)

@@ -6,7 +6,7 @@ import os
 import struct
 import zlib
 from collections.abc import Iterator, Sequence
-from io import BytesIO
+from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -25,15 +25,26 @@ from tunenet_logs.formats.base import (
     Record,
     described,
 )
-from tunenet_logs.formats.compression import MAX_PART_BYTES, Budget, unpack
-
-MAGIC = b"\x89MCAP0\r\n"
+from tunenet_logs.formats.compression import (
+    MAX_PART_BYTES,
+    Budget,
+    is_packed,
+    unpack,
+    unpack_message,
+)
+from tunenet_logs.formats.mcap_places import (
+    CHUNK,
+    FOOTER,
+    HEAD,
+    MAGIC,
+    Exact,
+    channels_of_summary,
+    described_channel,
+    next_chunk,
+)
 
 _DAMAGED = (*DAMAGED, McapError)
-_HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
-_CHUNK = struct.Struct("<QQQII")
-_FOOTER = struct.Struct("<QQI")
 _BLOCK_BYTES = 1024 * 1024
 _USED_IN_CHUNK = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE))
 _USED_IN_SUMMARY = frozenset((Opcode.STATISTICS, Opcode.FOOTER))
@@ -41,8 +52,6 @@ _USED = frozenset(
     (Opcode.CHUNK, Opcode.METADATA, Opcode.ATTACHMENT, Opcode.DATA_END, Opcode.FOOTER)
 ).union(_USED_IN_CHUNK)
 _NO_END = "the end of the file is missing (a recording that did not end?)"
-_CHUNK_MARKS = (b"\x04\x00\x00\x00zstd", b"\x03\x00\x00\x00lz4")
-"""A chunk's compression as it is stored: what to look for behind a damaged place."""
 
 
 def read_mcap(
@@ -77,12 +86,12 @@ class _Reading:
     def records(self) -> Iterator[Record]:
         at = len(self._read(len(MAGIC)))
         while not self.ended:
-            head = self.file.read(_HEAD.size)
-            if len(head) < _HEAD.size:
+            head = self.file.read(HEAD.size)
+            if len(head) < HEAD.size:
                 self._lose(_NO_END, at)
                 break
-            opcode, length = _HEAD.unpack(head)
-            behind = at + _HEAD.size + length
+            opcode, length = HEAD.unpack(head)
+            behind = at + HEAD.size + length
             if behind > self.size:
                 found = self._next_chunk(at + 1)
                 if found is None:
@@ -136,9 +145,9 @@ class _Reading:
         Raises:
             ValueError: it is damaged.
         """
-        _, _, stated, crc, length = _CHUNK.unpack_from(body)
-        at = _CHUNK.size + length
-        compression = bytes(body[_CHUNK.size : at]).decode("ascii", "replace")
+        _, _, stated, crc, length = CHUNK.unpack_from(body)
+        at = CHUNK.size + length
+        compression = bytes(body[CHUNK.size : at]).decode("ascii", "replace")
         (packed,) = struct.unpack_from("<Q", body, at)
         if packed > len(body) - at - 8:
             raise ValueError(f"it claims {packed} bytes")
@@ -151,8 +160,8 @@ class _Reading:
         found: list[Record] = []
         at = 0
         while at < len(plain):
-            opcode, length = _HEAD.unpack_from(plain, at)
-            at += _HEAD.size
+            opcode, length = HEAD.unpack_from(plain, at)
+            at += HEAD.size
             if length > len(plain) - at:
                 raise ValueError(f"a record inside claims {length} bytes")
             if opcode == Opcode.MESSAGE:
@@ -170,14 +179,14 @@ class _Reading:
             self._message(body, found)
             self.unprotected = True
             return found
-        stream = ReadDataStream(_Exact(body))
+        stream = ReadDataStream(Exact(body))
         if opcode == Opcode.SCHEMA:
             schema = mcap_records.Schema.read(stream)
             self.schemas.setdefault(schema.id, schema)
         elif opcode == Opcode.CHANNEL:
             channel = mcap_records.Channel.read(stream)
             if channel.id not in self.channels:
-                self.channels[channel.id] = _described(channel, self.schemas)
+                self.channels[channel.id] = described_channel(channel, self.schemas)
                 return (self.channels[channel.id],)
         elif opcode == Opcode.METADATA:
             metadata = mcap_records.Metadata.read(stream)
@@ -197,8 +206,13 @@ class _Reading:
             self.unknown += 1
             return
         self.messages += 1
-        if self.topics is None or channel.topic in self.topics:
-            found.append(RawMessage(channel, log_ns, body[_MESSAGE.size :], publish_ns, sequence))
+        if self.topics is not None and channel.topic not in self.topics:
+            return
+        data: bytes | memoryview = body[_MESSAGE.size :]
+        if channel.encoding == "cdr" and is_packed(data):
+            with suppress(ValueError):  # a damaged one is that message's matter, not the chunk's
+                data = unpack_message(data, self.budget)
+        found.append(RawMessage(channel, log_ns, data, publish_ns, sequence))
 
     def _adopted(self, number: int, found: list[Record]) -> RawChannel | None:
         """A channel whose description was in a damaged chunk perhaps."""
@@ -211,42 +225,10 @@ class _Reading:
     def _channels_of_summary(self) -> dict[int, RawChannel]:
         """The channels as the end of the file repeats them; none where that is missing."""
         if self.summary is None:
-            self.summary = {}
             here = self.file.tell()
-            try:
-                self._read_summary(self.summary)
-            except _DAMAGED:
-                self.summary = {}
+            self.summary = channels_of_summary(self.file, self.size)
             self.file.seek(here)
         return self.summary
-
-    def _read_summary(self, found: dict[int, RawChannel]) -> None:
-        footer_at = self.size - len(MAGIC) - _HEAD.size - _FOOTER.size
-        self.file.seek(footer_at)
-        opcode, _ = _HEAD.unpack(self.file.read(_HEAD.size))
-        start, _, crc = _FOOTER.unpack(self.file.read(_FOOTER.size))
-        if opcode != Opcode.FOOTER or not 0 < start < footer_at:
-            return
-        length = footer_at + _HEAD.size + _FOOTER.size - 4 - start
-        if length > MAX_PART_BYTES:
-            return
-        self.file.seek(start)
-        summary = memoryview(self.file.read(length))
-        if zlib.crc32(summary) != crc:
-            return
-        schemas: dict[int, mcap_records.Schema] = {}
-        at = 0
-        while at + _HEAD.size < len(summary):
-            opcode, length = _HEAD.unpack_from(summary, at)
-            at += _HEAD.size
-            stream = ReadDataStream(_Exact(summary[at : at + length]))
-            if opcode == Opcode.SCHEMA:
-                schema = mcap_records.Schema.read(stream)
-                schemas[schema.id] = schema
-            elif opcode == Opcode.CHANNEL:
-                channel = mcap_records.Channel.read(stream)
-                found[channel.id] = _described(channel, schemas)
-            at += length
 
     def _check_data(self, body: bytes, crc: int) -> None:
         (stated,) = struct.unpack_from("<I", body)
@@ -259,7 +241,7 @@ class _Reading:
 
     def _check_end(self, body: bytes, crc: int) -> None:
         self.ended = True
-        stated = _FOOTER.unpack_from(body)[2]
+        stated = FOOTER.unpack_from(body)[2]
         if not self.in_summary:
             self._lose("the end of the data is not marked")
         elif (stated and stated != crc) or self.file.read(len(MAGIC)) != MAGIC:
@@ -279,58 +261,9 @@ class _Reading:
         """Where the next chunk begins that looks whole; leaves the file's place as it was."""
         here = self.file.tell()
         try:
-            return self._search(start)
+            return next_chunk(self.file, start, self.size)
         finally:
             self.file.seek(here)
 
-    def _search(self, start: int) -> int | None:
-        lead = _HEAD.size + _CHUNK.size - 4
-        overlap = lead + 16
-        while start < self.size:
-            self.file.seek(start)
-            block = self.file.read(_BLOCK_BYTES + overlap)
-            places = sorted(_all_places(block, lead))
-            for place in places:
-                if self._is_chunk(block, place, start + place):
-                    return start + place
-            start += _BLOCK_BYTES
-        return None
-
-    def _is_chunk(self, block: bytes, place: int, at: int) -> bool:
-        opcode, length = _HEAD.unpack_from(block, place)
-        return opcode == Opcode.CHUNK and at + _HEAD.size + length <= self.size
-
     def _lose(self, what: str, at: int | None = None, size: int = 0) -> None:
         self.losses.append(Loss(what, at_byte=at, size=size))
-
-
-class _Exact(BytesIO):
-    """Bytes that refuse to be read beyond their end; the library would take what there is."""
-
-    def read(self, size: int | None = -1) -> bytes:
-        data = super().read(size)
-        if size is not None and len(data) < size:
-            raise ValueError(f"a part of it claims {size} bytes")
-        return data
-
-
-def _all_places(block: bytes, lead: int) -> Iterator[int]:
-    for mark in _CHUNK_MARKS:
-        found = block.find(mark, lead)
-        while found >= 0:
-            yield found - lead
-            found = block.find(mark, found + 1)
-
-
-def _described(
-    channel: mcap_records.Channel, schemas: dict[int, mcap_records.Schema]
-) -> RawChannel:
-    schema = schemas.get(channel.schema_id)
-    return RawChannel(
-        topic=channel.topic,
-        type_name=schema.name if schema else "",
-        encoding=channel.message_encoding,
-        schema_encoding=schema.encoding if schema else "",
-        schema=schema.data if schema else b"",
-        metadata=channel.metadata,
-    )

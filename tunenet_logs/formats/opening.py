@@ -8,13 +8,23 @@ from tunenet_logs.episode import Episode
 from tunenet_logs.errors import LogError
 from tunenet_logs.formats.base import Container
 from tunenet_logs.formats.csv_table import read_csv
+from tunenet_logs.formats.database import MAGIC as DB3_MAGIC
 from tunenet_logs.formats.mcap_container import MAGIC as MCAP_MAGIC
 from tunenet_logs.formats.mcap_container import read_mcap
+from tunenet_logs.formats.ros1_bag import MAGIC as BAG_MAGIC
+from tunenet_logs.formats.ros1_bag import read_bag
+from tunenet_logs.formats.ros2_db3 import read_db3
+from tunenet_logs.formats.ros2_folder import read_folder
 from tunenet_logs.formats.tables.lines import SUFFIXES, is_table
 from tunenet_logs.formats.video import read_video
 
-_CONTAINERS: dict[bytes, Container] = {MCAP_MAGIC: read_mcap}
+_CONTAINERS: dict[bytes, Container] = {
+    MCAP_MAGIC: read_mcap,
+    BAG_MAGIC: read_bag,
+    DB3_MAGIC: read_db3,
+}
 """Files of messages. A new one is one file, and one line here."""
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
 def opened(path: Path) -> Container | Episode:
@@ -23,11 +33,23 @@ def opened(path: Path) -> Container | Episode:
     Raises:
         LogError: there is no such file, or it is nothing that is read here.
     """
+    if is_folder(path):
+        return read_folder
     start = _start_of(path)
+    if start.startswith(_ZSTD_MAGIC):
+        raise LogError(f"{path}: is compressed as a whole; unpack it first with `zstd -d`")
     for magic, container in _CONTAINERS.items():
         if start.startswith(magic):
             return container
     return _read_foreign(path)
+
+
+def is_folder(path: Path) -> bool:
+    """Whether a log is a folder of files; not where that cannot even be asked."""
+    try:
+        return path.is_dir()
+    except OSError:
+        return False
 
 
 def _start_of(path: Path) -> bytes:
@@ -35,8 +57,6 @@ def _start_of(path: Path) -> bytes:
     try:
         if not path.exists():
             raise LogError(f"{path}: no such file")
-        if path.is_dir():
-            raise LogError(f"{path}: is a directory; name a log file (.mcap) inside it")
         if not path.is_file():
             raise LogError(f"{path}: is no regular file; record it to one first")
         with open(path, "rb") as file:

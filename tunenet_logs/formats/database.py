@@ -1,0 +1,245 @@
+"""Strangers' SQLite files: opened without a trace, plain tables only, read past damage."""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+import struct
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tunenet_logs.formats.base import Loss, described
+from tunenet_logs.formats.compression import MAX_PART_BYTES
+
+MAGIC = b"SQLite format 3\0"
+
+_HEADER = struct.Struct(">16xH10xI")  # size of a page (1: 65536), ..., number of pages
+_FIRST, _LAST = 0, 2**63 - 1
+_MOST_PLACES = 1000
+_SCHEMA = "sqlite_master"
+_NUMBER = "_rowid_"
+
+Row = tuple[int, tuple[Any, ...]]
+"""A row's own number, and its values, of any type."""
+
+
+DATABASE_ERRORS = (sqlite3.Error, UnicodeDecodeError)
+"""What comes of a damaged file; the second where the error itself quotes what is damaged."""
+
+
+class NoTableError(Exception):
+    """Why a file has no such table."""
+
+
+@contextmanager
+def opened(path: Path, losses: list[Loss]) -> Iterator[sqlite3.Connection]:
+    """A database for reading; what a killed program left beside it is used where that is safe.
+
+    Args:
+        path: the file; neither it nor its folder is changed.
+        losses: what is noted about the whole file.
+
+    Raises:
+        DATABASE_ERRORS: it cannot be opened.
+        OSError: the disk fails.
+    """
+    if _size(_beside(path, "-journal")):
+        # A journal can name a file that SQLite then deletes, so a stranger's is never rolled back.
+        losses.append(Loss("a transaction was not ended; what it changed may be damaged"))
+    if not _size(_beside(path, "-wal")):
+        is_cut = _is_cut(path, losses)
+        with closing(_connected(f"{path.resolve().as_uri()}?mode=ro&immutable=1")) as database:
+            _protect(database, is_cut=is_cut)
+            yield database
+        return
+    what = "read with what a recording that did not end left beside it (-wal)"
+    losses.append(Loss(what, harmless=True))
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / "log.db3"
+        shutil.copyfile(path, copy)
+        shutil.copyfile(_beside(path, "-wal"), _beside(copy, "-wal"))
+        with closing(_connected(f"{copy.as_uri()}?mode=rw")) as database:
+            _protect(database)
+            yield database
+
+
+def _connected(uri: str) -> sqlite3.Connection:
+    # Episodes hand their frames to any thread, one at a time.
+    return sqlite3.connect(uri, uri=True, isolation_level=None, check_same_thread=False)
+
+
+def _protect(database: sqlite3.Connection, *, is_cut: bool = False) -> None:
+    """Let a stranger's schema do nothing, and no value be larger than a message may be.
+
+    Args:
+        database: not yet asked for anything.
+        is_cut: whether pages are missing at the end, which SQLite refuses to read past otherwise.
+    """
+    database.text_factory = lambda raw: raw.decode("utf-8", "replace")
+    database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_PART_BYTES)
+    database.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 0)
+    for setting in ("trusted_schema = OFF", "cell_size_check = ON", "mmap_size = 0"):
+        database.execute(f"PRAGMA {setting}")
+    if is_cut:
+        database.execute("PRAGMA writable_schema = ON")
+    database.set_authorizer(_allowed)
+
+
+def _allowed(action: int, first: str | None, *_rest: str | None) -> int:
+    """Columns of tables and nothing else: no functions, no recursion, no other pragma."""
+    plain = action in (sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ)
+    if plain or (action == sqlite3.SQLITE_PRAGMA and first == "table_xinfo"):
+        return sqlite3.SQLITE_OK
+    return sqlite3.SQLITE_DENY
+
+
+def _beside(path: Path, suffix: str) -> Path:
+    return path.with_name(path.name + suffix)
+
+
+def _size(path: Path) -> int:
+    return path.stat().st_size if path.is_file() else 0
+
+
+def _is_cut(path: Path, losses: list[Loss]) -> bool:
+    """Whether pages that the file counts lie behind its end."""
+    with open(path, "rb") as file:
+        head = file.read(_HEADER.size)
+    if len(head) < _HEADER.size:
+        return False
+    page, pages = _HEADER.unpack(head)
+    size, stated = _size(path), pages * (65536 if page == 1 else page)
+    if size < stated:
+        losses.append(Loss("the file is cut", at_byte=size, size=stated - size))
+    return size < stated
+
+
+def table_of(
+    database: sqlite3.Connection, name: str, needed: Sequence[str], more: Sequence[str] = ()
+) -> Table:
+    """A plain table.
+
+    Args:
+        database: where it is.
+        name: the table's.
+        needed: columns that it must have.
+        more: columns that it may have.
+
+    Raises:
+        NoTableError: there is none, it is no plain one, or it lacks a column.
+        DATABASE_ERRORS: the file is damaged.
+    """
+    every = Table(_SCHEMA, ("type", "name", "rootpage")).rows(database, [])
+    kinds = [
+        (kind, root)
+        for _, (kind, title, root) in every
+        if kind in ("table", "view") and str(title).lower() == name
+    ]
+    if not kinds:
+        raise NoTableError(f"it has no table {name!r}")
+    (kind, root), *others = kinds
+    if kind != "table" or type(root) is not int or root <= 0 or others:  # a virtual one has no root
+        raise NoTableError(f"its {name!r} is no plain table")
+    columns = {row[1]: row[6] for row in database.execute(f"PRAGMA table_xinfo({name})")}
+    if any(one.lower() == _NUMBER for one in columns):
+        raise NoTableError(f"its table {name!r} hides its rows' numbers")
+    found = (*needed, *(one for one in more if columns.get(one) == 0))
+    for one in needed:
+        if columns.get(one) != 0:  # a computed one is hidden
+            raise NoTableError(f"its table {name!r} has no plain column {one!r}")
+    return Table(name, found)
+
+
+@dataclass(frozen=True)
+class Table:
+    """A plain table of some columns. Only names that were written here go into its questions."""
+
+    name: str
+    columns: tuple[str, ...]
+
+    def rows(self, database: sqlite3.Connection, losses: list[Loss]) -> Iterator[Row]:
+        """All rows in the order of their numbers, and so of their recording; negative ones aside.
+
+        Args:
+            database: where it is.
+            losses: the rows that cannot be read.
+        """
+        columns = ", ".join(self.columns)
+        start, places = _FIRST, 0
+        while start <= _LAST and places < _MOST_PLACES:
+            try:
+                for row in self._asked(database, columns, start):
+                    start = row[0] + 1
+                    yield row
+                return
+            except DATABASE_ERRORS as error:
+                why = described(error)
+            row = self._one(database, columns, start)
+            if row is not None:  # the library drops the last row before the damage
+                start = row[0] + 1
+                yield row
+                continue
+            places += 1
+            found = self._behind(database, start)
+            rows = f"{start} to {found - 1}" if found is not None else f"{start} to the last"
+            losses.append(Loss(f"table {self.name}: rows {rows} cannot be read: {why}"))
+            if found is None:
+                return
+            start = found
+        if places == _MOST_PLACES:
+            losses.append(Loss(f"table {self.name}: what follows row {start} was not tried"))
+
+    def _asked(
+        self, database: sqlite3.Connection, columns: str, start: int, limit: str = ""
+    ) -> Iterator[Row]:
+        """Rows from a number on.
+
+        Raises:
+            DATABASE_ERRORS: they are damaged, from the next on.
+        """
+        # An index is not used: it may be damaged, or say something else than the table.
+        question = (
+            f"SELECT {_NUMBER}, {columns} FROM {self.name} NOT INDEXED "  # noqa: S608 (see the class)
+            f"WHERE {_NUMBER} >= ? ORDER BY {_NUMBER} {limit}"
+        )
+        for number, *values in database.execute(question, (start,)):
+            if type(number) is not int or number < start:
+                raise sqlite3.DatabaseError("its rows are in disorder")
+            start = number + 1
+            yield number, tuple(values)
+
+    def _one(self, database: sqlite3.Connection, columns: str, start: int) -> Row | None:
+        """The first row from a number on; None where that cannot be read, or is none."""
+        try:
+            return next(self._asked(database, columns, start, "LIMIT 1"), None)
+        except DATABASE_ERRORS:
+            return None
+
+    def _behind(self, database: sqlite3.Connection, start: int) -> int | None:
+        """The first number from which on rows can be read again; None if there is none.
+
+        Asked for in steps that double, then halved: so a damaged page costs some questions only.
+        """
+        found = self._next(database, start)
+        if found is not None:  # what is damaged are that row's values
+            return max(found, start) + 1
+        low, high = start, start + 1
+        while (found := self._next(database, high)) is None:
+            low, high = high, 2 * high - start
+            if high > _LAST:
+                return None
+        while high - low > 1:
+            middle = (low + high) // 2
+            if (between := self._next(database, middle)) is None:
+                low = middle
+            else:
+                high, found = middle, between
+        return max(found, start + 1)
+
+    def _next(self, database: sqlite3.Connection, start: int) -> int | None:
+        row = self._one(database, "1", start) if start <= _LAST else None
+        return None if row is None else row[0]

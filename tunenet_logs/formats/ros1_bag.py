@@ -1,0 +1,272 @@
+"""ROS 1 bags (v2.0): their record stream, bounded and checked, read past what is damaged.
+
+By the stream and not by the index at the end: a killed `rosbag record` leaves none (`.bag.active`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterator, Sequence
+from pathlib import Path
+from typing import BinaryIO
+
+from tunenet_logs.errors import LogError
+from tunenet_logs.formats.base import (
+    DAMAGED,
+    Loss,
+    RawChannel,
+    RawMessage,
+    Record,
+    described,
+)
+from tunenet_logs.formats.compression import MAX_PART_BYTES, Budget, unpack, unpack_start
+from tunenet_logs.formats.ros1_records import (
+    BAG,
+    CHUNK,
+    CHUNK_INFO,
+    CONNECTION,
+    IN_CHUNKS,
+    INDEX,
+    Head,
+    RecordFile,
+    fields_of,
+    head_at,
+)
+
+MAGIC = b"#ROSBAG V"
+
+_VERSION = b"2.0\n"
+_COUNTED = {INDEX: 12, CHUNK_INFO: 8}
+"""Bytes of each entry that such a record counts."""
+
+
+def read_bag(
+    path: Path, losses: list[Loss], topics: Sequence[str] | None = None
+) -> Iterator[Record]:
+    """The records of a ROS 1 bag, closed or not; see `Container`."""
+    with open(path, "rb") as file:
+        version = file.read(len(MAGIC) + len(_VERSION))[len(MAGIC) :]
+        if version != _VERSION:
+            shown = version.split(b"\n")[0].decode("ascii", "replace")
+            raise LogError(
+                f"{path}: is a ROS bag of version {shown!r}, only 2.0 is read; "
+                "rewrite it with `rosbag filter OLD.bag NEW.bag True`"
+            )
+        yield from _Reading(path, file, losses, topics).records()
+
+
+class _Reading:
+    """One pass over a file."""
+
+    def __init__(
+        self, path: Path, file: BinaryIO, losses: list[Loss], topics: Sequence[str] | None
+    ) -> None:
+        self.path = path
+        self.file = RecordFile(file)
+        self.losses = losses
+        self.topics = topics
+        self.budget = Budget(self.file.size)
+        self.channels: dict[int, RawChannel] = {}
+        self.index: dict[int, RawChannel] | None = None
+        self.index_at = 0
+        self.has_index = False
+        self.chunks_told = 0
+        self.infos = 0
+        self.told = {INDEX: 0, CHUNK_INFO: 0}  # messages, as either counts them
+        self.messages = 0  # of all topics, as far as they were read
+        self.unknown = 0  # of them, those whose connection nothing describes
+
+    def records(self) -> Iterator[Record]:
+        at = len(MAGIC) + len(_VERSION)
+        while at < self.file.size:
+            self.has_index |= at == self.index_at
+            try:
+                head = self.file.head(at)
+                if head.op == CHUNK:
+                    at = yield from self._chunk(head, at)
+                    continue
+                if head.end > self.file.size:
+                    raise ValueError(f"a record claims {head.data_bytes} bytes")
+            except DAMAGED as error:
+                at = self._past(at, described(error))
+                continue
+            yield from self._record(head, at)
+            at = head.end
+        self.has_index |= at == self.index_at
+        self._close()
+
+    def _record(self, head: Head, at: int) -> Sequence[Record]:
+        try:
+            if head.op in IN_CHUNKS:
+                return self._parse(head, self.file.data(head))
+            self._note(head)
+        except DAMAGED as error:
+            what = f"a damaged record was left out: {described(error)}"
+            self._lose(what, at, head.end - at)
+        return ()
+
+    def _chunk(self, head: Head, at: int) -> Generator[Record, None, int]:
+        """A chunk's records; gives the place to go on from.
+
+        Raises:
+            DAMAGED: its head makes no sense, or it was one chunk too many.
+        """
+        stated, compression = head.number(b"size"), _compression(head)
+        if compression in ("", "none"):
+            # Its records follow as any others do, so that a wrong size of it loses none of them.
+            if stated != head.data_bytes:
+                what = f"a chunk claims {stated} bytes and {head.data_bytes}"
+                self.losses.append(Loss(what, at_byte=at, harmless=True))
+            return head.data_at
+        if head.end > self.file.size or not head.data_bytes:  # cut, or never closed
+            end = self.file.find(head.data_at)
+            data = self.file.block(head.data_at, min(end - head.data_at, MAX_PART_BYTES))
+            plain = unpack_start(data, compression, MAX_PART_BYTES)
+            self.budget.spend(len(plain))
+            self._lose("a chunk is cut; it was read as far as it goes", at, end - at)
+            yield from self._inside(plain)
+            return end
+        try:
+            if stated <= MAX_PART_BYTES:
+                self.budget.spend(stated)
+            plain = bytes(unpack(self.file.data(head), compression, stated))
+        except DAMAGED as error:
+            end = head.end if self.file.is_border(head.end) else self.file.find(head.data_at)
+            self._lose(f"a damaged chunk was left out: {described(error)}", at, end - at)
+            return end
+        lost = yield from self._inside(plain)
+        if lost:
+            self._lose(f"{lost} bytes of an unpacked chunk are damaged", at, head.end - at)
+        return head.end
+
+    def _inside(self, plain: bytes) -> Generator[Record, None, int]:
+        """The records of an unpacked chunk; gives how many bytes of it belong to none."""
+        at = lost = 0
+        while at < len(plain):
+            try:
+                head = head_at(plain, at)
+                if head.end > len(plain) or head.op not in IN_CHUNKS:
+                    raise ValueError("no such record can be in a chunk")
+                found = self._parse(head, memoryview(plain)[head.data_at : head.end])
+            except DAMAGED:
+                behind = self.file.find_in(plain, at + 1)
+                lost += behind - at
+                at = behind
+                continue
+            yield from found
+            at = head.end
+        return lost
+
+    def _parse(self, head: Head, data: bytes | memoryview) -> Sequence[Record]:
+        number = head.number(b"conn")
+        if head.op == CONNECTION:
+            return self._connection(number, _described(head, bytes(data)))
+        log_ns = head.time_ns()
+        found: list[Record] = []
+        channel = self.channels.get(number)
+        if channel is None:
+            channel = self._index().get(number)
+            if channel is None:
+                self.unknown += 1
+                return ()
+            self.channels[number] = channel
+            found.append(channel)
+        self.messages += 1
+        if self.topics is None or channel.topic in self.topics:
+            found.append(RawMessage(channel, log_ns, data, log_ns))
+        return found
+
+    def _connection(self, number: int, channel: RawChannel) -> Sequence[Record]:
+        known = self.channels.setdefault(number, channel)
+        if known is channel:
+            return (channel,)
+        if (known.topic, known.type_name, known.schema) != (
+            channel.topic,
+            channel.type_name,
+            channel.schema,
+        ):
+            self._lose(f"connection {number} ({known.topic}) is described in two ways")
+        return ()
+
+    def _index(self) -> dict[int, RawChannel]:
+        """The connections as the end of the file repeats them; none where that is missing."""
+        if self.index is None:
+            self.index = {}
+            at = self.index_at
+            try:
+                while 0 < at < self.file.size and (head := self.file.head(at)).op == CONNECTION:
+                    channel = _described(head, self.file.data(head))
+                    self.index.setdefault(head.number(b"conn"), channel)
+                    at = head.end
+            except DAMAGED:
+                pass  # it is met again at its place, and reported there
+        return self.index
+
+    def _note(self, head: Head) -> None:
+        """What the bag says about itself.
+
+        Raises:
+            LogError: it is encrypted.
+            DAMAGED: it makes no sense.
+        """
+        if head.op in _COUNTED:
+            count = head.number(b"count")
+            if count * _COUNTED[head.op] != head.data_bytes:
+                raise ValueError(f"it counts {count} entries")
+            if head.op == CHUNK_INFO:
+                pairs = memoryview(self.file.data(head)).cast("I")
+                count = sum(pairs[1::2])
+                self.infos += 1
+            self.told[head.op] += count
+        elif head.op == BAG:
+            if head.fields.get(b"encryptor"):
+                raise LogError(f"{self.path}: is encrypted; decrypt it first with `rosbag decrypt`")
+            self.index_at = head.number(b"index_pos", 8)
+            self.chunks_told = head.number(b"chunk_count")
+        else:
+            raise ValueError(f"there is no record of kind {head.op}")
+
+    def _past(self, at: int, why: str) -> int:
+        """Behind a place that is no record; the file's end where nothing more is found."""
+        behind = self.file.find(at + 1)
+        if behind < self.file.size:
+            what = f"{why}; what follows was found again"
+        else:
+            what = "its last record is cut (a recording that did not end?)"
+        self._lose(what, at, behind - at)
+        return behind
+
+    def _close(self) -> None:
+        if not self.has_index or self.infos < self.chunks_told:
+            self._lose("the index at the end is missing (a recording that did not end?)")
+        what = "a ROS 1 bag carries no checksum, so its integrity cannot be vouched for"
+        self.losses.append(Loss(what, harmless=True))
+        if self.unknown:
+            self._lose(f"{self.unknown} messages belong to connections that nothing describes")
+        told = self.told[CHUNK_INFO] or self.told[INDEX]
+        missing = told - self.messages - self.unknown
+        if missing > 0:
+            self._lose(f"{missing} of {told} messages are missing")
+
+    def _lose(self, what: str, at: int | None = None, size: int = 0) -> None:
+        self.losses.append(Loss(what, at_byte=at, size=size))
+
+
+def _compression(head: Head) -> str:
+    return head.fields[b"compression"].decode("ascii", "replace")
+
+
+def _described(head: Head, data: bytes) -> RawChannel:
+    fields = fields_of(data)
+    extra = {
+        name.decode("ascii", "replace"): value.decode("utf-8", "replace")
+        for name, value in fields.items()
+        if name not in (b"topic", b"type", b"message_definition")
+    }
+    return RawChannel(
+        topic=head.fields[b"topic"].decode(),
+        type_name=fields[b"type"].decode(),
+        encoding="ros1",
+        schema_encoding="ros1msg",
+        schema=fields[b"message_definition"],
+        metadata=extra,
+    )

@@ -1,0 +1,212 @@
+"""Records of a ROS 1 bag: heads taken apart, their fields checked, and looked for behind damage."""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import BinaryIO
+
+from tunenet_logs.formats.compression import MAX_PART_BYTES
+
+MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = range(2, 8)
+"""The kinds of records, by the byte that a head's field `op` holds."""
+
+IN_CHUNKS = frozenset((MESSAGE, CONNECTION))
+
+MOST_HEAD_BYTES = 64 * 1024
+"""A head names a topic at most; what a message is like lies in a record's data."""
+
+U32 = struct.Struct("<I")
+_FORMATS = {1: "<B", 4: "<I", 8: "<Q"}
+_NEEDED = {
+    MESSAGE: (b"conn", b"time"),
+    INDEX: (b"conn", b"count"),
+    CHUNK: (b"compression", b"size"),
+    CHUNK_INFO: (b"chunk_pos", b"count"),
+    CONNECTION: (b"conn", b"topic"),
+}
+_USUAL_HEAD_BYTES = 256
+_FIRST_BLOCK_BYTES = 16 * 1024
+_BLOCK_BYTES = 1024 * 1024
+_MARK = b"\x04\x00\x00\x00op="
+_LEADS = range(4, 64)
+"""How far before its field `op` a head may begin; others write little before it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Head:
+    """A record's head.
+
+    Attributes:
+        data_at: where its data begins, in the buffer that it was read from.
+        data_bytes: how long it claims to be; not yet checked.
+    """
+
+    op: int
+    fields: Mapping[bytes, bytes]
+    data_at: int
+    data_bytes: int
+
+    @property
+    def end(self) -> int:
+        """Where the next record begins."""
+        return self.data_at + self.data_bytes
+
+    def number(self, name: bytes, size: int = 4) -> int:
+        """An unsigned field of `size` bytes.
+
+        Raises:
+            ValueError, KeyError, struct.error: it is not there, or of another size.
+        """
+        return struct.unpack(_FORMATS[size], self.fields[name])[0]
+
+    def time_ns(self) -> int:
+        """When a message was received [ns].
+
+        Raises:
+            KeyError, struct.error: it does not say.
+        """
+        seconds, nanoseconds = struct.unpack("<II", self.fields[b"time"])
+        return seconds * 1_000_000_000 + nanoseconds
+
+
+def head_at(buffer: bytes | memoryview, at: int = 0) -> Head:
+    """The head of the record at a place in a buffer.
+
+    Raises:
+        ValueError, LookupError, struct.error: there is none.
+    """
+    (length,) = U32.unpack_from(buffer, at)
+    if length > MOST_HEAD_BYTES:
+        raise ValueError(f"a head claims {length} bytes")
+    start = at + U32.size
+    (data_bytes,) = U32.unpack_from(buffer, start + length)
+    fields = fields_of(bytes(buffer[start : start + length]))
+    (op,) = fields[b"op"]
+    return Head(op, fields, start + length + U32.size, data_bytes)
+
+
+def fields_of(data: bytes) -> dict[bytes, bytes]:
+    """The fields of a head, or of a connection's data, as name=value.
+
+    Raises:
+        ValueError, struct.error: they are not.
+    """
+    fields: dict[bytes, bytes] = {}
+    at = 0
+    while at < len(data):
+        (length,) = U32.unpack_from(data, at)
+        at += U32.size
+        name, sign, value = data[at : at + length].partition(b"=")
+        if not sign or length > len(data) - at:
+            raise ValueError(f"a field claims {length} bytes")
+        fields[name] = value
+        at += length
+    return fields
+
+
+class RecordFile:
+    """A file of records, of which any part may be damaged."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self._search = Search()
+        self.size = os.fstat(file.fileno()).st_size
+
+    def block(self, at: int, length: int) -> bytes:
+        """The bytes there, fewer at the file's end."""
+        self._file.seek(at)
+        return self._file.read(length)
+
+    def head(self, at: int) -> Head:
+        """The head of the record there, by its place in the file.
+
+        Raises:
+            ValueError, LookupError, struct.error: there is none.
+        """
+        block = self.block(at, _USUAL_HEAD_BYTES)
+        (length,) = U32.unpack_from(block)
+        if length + 2 * U32.size > len(block):
+            block = self.block(at, min(length, MOST_HEAD_BYTES) + 2 * U32.size)
+        head = head_at(block)
+        return Head(head.op, head.fields, at + head.data_at, head.data_bytes)
+
+    def data(self, head: Head) -> bytes:
+        """A record's data.
+
+        Raises:
+            ValueError: it is too large, or behind the file's end.
+        """
+        if head.data_bytes > MAX_PART_BYTES or head.end > self.size:
+            raise ValueError(f"a record claims {head.data_bytes} bytes")
+        return self.block(head.data_at, head.data_bytes)
+
+    def is_border(self, at: int) -> bool:
+        """Whether a record begins there, or the file ends."""
+        try:
+            self.head(at)
+        except (ValueError, LookupError, struct.error):
+            return at == self.size
+        return True
+
+    def find(self, start: int) -> int:
+        """Where the next record begins; the file's end if there is none."""
+        length = _FIRST_BLOCK_BYTES
+        while start < self.size:
+            block = self.block(start, length + Search.overlap)
+            found = self._search.find(block, 0)
+            while found is not None:
+                if self._is_whole(start + found):
+                    return start + found
+                found = self._search.find(block, found + 1)
+            start += length
+            length = min(2 * length, _BLOCK_BYTES)
+        return self.size
+
+    def _is_whole(self, at: int) -> bool:
+        """Whether a head that was found is a record's, and no shred of one in an LZ4 chunk."""
+        head = self.head(at)
+        return head.op not in IN_CHUNKS or self.is_border(head.end)
+
+    def find_in(self, plain: bytes, start: int) -> int:
+        """The same in an unpacked part of it."""
+        found = self._search.find(plain, start)
+        return len(plain) if found is None else found
+
+
+class Search:
+    """Looks for the next record behind a damaged one.
+
+    Args:
+        tries: places that may be looked at in all; a file of nothing but marks must not take hours.
+    """
+
+    overlap = 4 * 1024
+    """How long a head may be to be found; what two blocks that are searched have in common."""
+
+    def __init__(self, tries: int = 20_000) -> None:
+        self._tries = tries
+
+    def find(self, buffer: bytes, start: int) -> int | None:
+        """Where the first record from `start` on begins, as far as its head is whole."""
+        mark = buffer.find(_MARK, start)
+        while mark >= 0 and self._tries > 0:
+            self._tries -= 1
+            for lead in _LEADS:
+                if mark - lead >= start and _is_head(buffer, mark - lead, mark):
+                    return mark - lead
+            mark = buffer.find(_MARK, mark + 1)
+        return None
+
+
+def _is_head(buffer: bytes, at: int, mark: int) -> bool:
+    (length,) = U32.unpack_from(buffer, at)
+    if not mark + len(_MARK) < at + U32.size + length <= at + Search.overlap:
+        return False
+    try:
+        head = head_at(buffer, at)
+    except (ValueError, LookupError, struct.error):
+        return False
+    return all(name in head.fields for name in _NEEDED.get(head.op, (b"",)))

@@ -1,0 +1,138 @@
+"""ROS 2 bags in sqlite3 (`.db3`): messages in the order of their recording."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from tunenet_logs.errors import LogError
+from tunenet_logs.formats.base import (
+    DAMAGED,
+    Loss,
+    RawChannel,
+    RawMessage,
+    Record,
+    described,
+)
+from tunenet_logs.formats.compression import Budget, is_packed, unpack_message
+from tunenet_logs.formats.database import DATABASE_ERRORS, NoTableError, Table, opened, table_of
+
+_MESSAGES = ("topic_id", "timestamp", "data")
+_TOPICS = ("id", "name", "type", "serialization_format")
+_DEFINITIONS = ("topic_type", "encoding", "encoded_message_definition")
+_SCHEMAS = ("ros2msg", "ros2idl")
+_MORE = {
+    "offered_qos_profiles": "offered_qos_profiles",
+    "type_description_hash": "topic_type_hash",
+}
+"""What else a topic may say: its columns, and what the same is called in an MCAP of ROS 2."""
+
+
+def read_db3(
+    path: Path, losses: list[Loss], topics: Sequence[str] | None = None
+) -> Iterator[Record]:
+    """The records of a ROS 2 sqlite3 bag; see `Container`. Neither it nor its folder is changed."""
+    try:
+        with opened(path, losses) as database:
+            channels = _channels(database, losses)
+            table = table_of(database, "messages", _MESSAGES)
+            yield from channels.values()
+            reading = _Reading(channels, losses, Budget(path.stat().st_size))
+            yield from reading.messages(database, table, topics)
+    except (*DATABASE_ERRORS, NoTableError) as error:
+        raise LogError(f"{path}: is no ROS 2 bag that can be read: {described(error)}") from error
+    what = "a .db3 bag carries no checksum, so its integrity cannot be vouched for"
+    losses.append(Loss(what, harmless=True))
+
+
+class _Reading:
+    """One pass over the messages."""
+
+    def __init__(
+        self, channels: Mapping[int, RawChannel], losses: list[Loss], budget: Budget
+    ) -> None:
+        self._channels = channels
+        self._losses = losses
+        self._budget = budget
+
+    def messages(
+        self, database: sqlite3.Connection, table: Table, topics: Sequence[str] | None
+    ) -> Iterator[RawMessage]:
+        damaged = unknown = seen = last = 0
+        first = ""
+        before = len(self._losses)
+        for last, values in self._only(table, topics).rows(database, self._losses):
+            seen += 1
+            channel = self._channels.get(values[0]) if type(values[0]) is int else None
+            if channel is None:
+                unknown += 1
+            elif topics is None or channel.topic in topics:
+                try:
+                    yield self._message(channel, *values[1:])
+                except DAMAGED as error:
+                    first = first or f"message {last}, {described(error)}"
+                    damaged += 1
+            if self._budget.is_spent:
+                self._lose(f"reading stopped at message {last}: the log unpacks to too much")
+                break
+        if last > seen and len(self._losses) == before:
+            self._lose(f"{last - seen} of its messages are missing among those numbered to {last}")
+        if damaged:
+            self._lose(f"{damaged} messages are damaged (the first: {first})")
+        if unknown:
+            self._lose(f"{unknown} messages belong to topics that nothing describes")
+
+    def _only(self, table: Table, topics: Sequence[str] | None) -> Table:
+        """The table, with the data of some topics only: that of others is not even loaded."""
+        if topics is None:
+            return table
+        wanted = [str(key) for key, one in self._channels.items() if one.topic in topics]
+        data = f"CASE WHEN topic_id IN ({', '.join(wanted)}) THEN data END"
+        return replace(table, columns=(*table.columns[:-1], data))
+
+    def _message(self, channel: RawChannel, log_ns: Any, data: Any) -> RawMessage:
+        if type(log_ns) is not int or type(data) is not bytes:
+            raise TypeError("its time is no whole number, or its data no bytes")
+        self._budget.spend(len(data))
+        plain = unpack_message(data, self._budget) if is_packed(data) else data
+        return RawMessage(channel, log_ns, plain, log_ns)
+
+    def _lose(self, what: str) -> None:
+        self._losses.append(Loss(what))
+
+
+def _channels(database: sqlite3.Connection, losses: list[Loss]) -> dict[int, RawChannel]:
+    """The topics, by their numbers.
+
+    Raises:
+        NoTableError, DATABASE_ERRORS: there are none.
+    """
+    definitions = _definitions(database, losses)
+    table = table_of(database, "topics", _TOPICS, tuple(_MORE))
+    channels: dict[int, RawChannel] = {}
+    for row, (number, *texts) in table.rows(database, losses):
+        if type(number) is not int or any(type(one) is not str for one in texts[:3]):
+            losses.append(Loss(f"topic {row} is damaged"))
+            continue
+        name, kind, encoding = texts[:3]
+        more = zip(table.columns[len(_TOPICS) :], texts[3:], strict=True)
+        metadata = {_MORE[key]: text for key, text in more if type(text) is str and text}
+        schema = definitions.get(kind, ("", b""))
+        channels.setdefault(number, RawChannel(name, kind, encoding, *schema, metadata))
+    return channels
+
+
+def _definitions(database: sqlite3.Connection, losses: list[Loss]) -> dict[str, tuple[str, bytes]]:
+    """Encoding and text of each type's schema, by its name; none in bags of older ROS 2."""
+    try:
+        table = table_of(database, "message_definitions", _DEFINITIONS)
+    except NoTableError:
+        return {}
+    found: dict[str, tuple[str, bytes]] = {}
+    for _, (kind, encoding, text) in table.rows(database, losses):
+        if encoding in _SCHEMAS and type(kind) is str and type(text) is str and text:
+            found.setdefault(kind, (encoding, text.encode("utf-8", "replace")))
+    return found

@@ -1,0 +1,119 @@
+"""Folders of a ROS 2 bag: one recording in one file or several, in the order of their numbers."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from tunenet_logs.errors import LogError
+from tunenet_logs.formats.base import Container, Loss, RawMetadata, Record
+from tunenet_logs.formats.database import MAGIC as DB3_MAGIC
+from tunenet_logs.formats.mcap_container import MAGIC as MCAP_MAGIC
+from tunenet_logs.formats.mcap_container import read_mcap
+from tunenet_logs.formats.ros2_db3 import read_db3
+from tunenet_logs.messages import INFO_RECORD
+
+_READERS: dict[str, tuple[bytes, Container]] = {
+    ".db3": (DB3_MAGIC, read_db3),
+    ".mcap": (MCAP_MAGIC, read_mcap),
+}
+_PACKED = (".db3.zstd", ".mcap.zstd")
+_INDEX = "metadata.yaml"
+_NUMBERED = re.compile(r"(.+)_([0-9]{1,18})", re.DOTALL)
+
+
+def read_folder(
+    path: Path, losses: list[Loss], topics: Sequence[str] | None = None
+) -> Iterator[Record]:
+    """The records of a ROS 2 bag's files, one after the other; see `Container`.
+
+    What its `metadata.yaml` says is not needed: a killed recording has none.
+    """
+    files = _files(path)
+    if len(files) > 1 and not (path / _INDEX).is_file():
+        what = f"no {_INDEX}; {files[0].name} to {files[-1].name} were read as one recording"
+        losses.append(Loss(what, harmless=True))
+    troubles: list[str] = []
+    told: set[Path] = set()
+    begin = len(losses)
+    for file in files:
+        lost: list[Loss] = []
+        try:
+            for record in _records(file, lost, topics):
+                if isinstance(record, RawMetadata) and record.name == INFO_RECORD:
+                    told.add(file)
+                yield record
+        except LogError as error:
+            trouble = str(error).removeprefix(f"{file}: ")
+            troubles.append(f"{file.name} {trouble}")
+            lost.append(Loss(trouble, size=file.stat().st_size))
+        losses += [replace(one, file=file.name) for one in lost]
+        if len(told) > 1:  # our own recordings are one file each
+            raise _several(path, files)
+    if len(troubles) == len(files):
+        raise LogError(f"{path}: no file in it can be read; {troubles[0]}")
+    losses[begin:] = _without_repeats(losses[begin:])
+
+
+def _records(file: Path, losses: list[Loss], topics: Sequence[str] | None) -> Iterator[Record]:
+    """Those of one file.
+
+    Raises:
+        LogError: nothing of it can be read.
+    """
+    magic, read = _READERS[file.suffix]
+    with open(file, "rb") as stream:
+        start = stream.read(len(magic))
+    if not start:
+        raise LogError(f"{file}: is empty")
+    if start != magic:
+        raise LogError(f"{file}: is no {file.suffix} file")
+    yield from read(file, losses, topics)
+
+
+def _without_repeats(losses: Sequence[Loss]) -> list[Loss]:
+    """What is doubtful in the same way in every file is said once, behind what is lost."""
+    doubts: dict[str, list[Loss]] = {}
+    for one in losses:
+        if one.harmless:
+            doubts.setdefault(one.what, []).append(one)
+    lost = [one for one in losses if not one.harmless]
+    for same in doubts.values():
+        first, more = same[0], len(same) - 1
+        lost.append(replace(first, file=f"{first.file} and {more} more") if more else first)
+    return lost
+
+
+def _files(folder: Path) -> list[Path]:
+    """The files of the recording, in its order.
+
+    Raises:
+        LogError: there are none, or they are of several recordings.
+    """
+    found = [one for one in folder.iterdir() if one.is_file() and not one.name.startswith(".")]
+    packed = [one.name for one in found if one.name.endswith(_PACKED)]
+    if packed:
+        raise LogError(
+            f"{folder}: {min(packed)} is compressed as a whole; "
+            "unpack such files first with `zstd -d`"
+        )
+    files = [one for one in found if one.suffix in _READERS]
+    if not files:
+        raise LogError(
+            f"{folder}: is a directory without the files of a ROS 2 bag (.db3, .mcap); "
+            "name a log file"
+        )
+    if len(files) == 1:
+        return files
+    numbered = {one: match for one in files if (match := _NUMBERED.fullmatch(one.stem))}
+    names = {(one.suffix, match[1]) for one, match in numbered.items()}
+    if len(numbered) < len(files) or len(names) > 1:
+        raise _several(folder, files)
+    return sorted(files, key=lambda one: (int(numbered[one][2]), one.name))
+
+
+def _several(folder: Path, files: Iterable[Path]) -> LogError:
+    shown = ", ".join(sorted(one.name for one in files)[:2])
+    return LogError(f"{folder}: is a directory with several recordings ({shown}); name one of them")
