@@ -20,8 +20,9 @@ if TYPE_CHECKING:
 _DESCRIPTION = """\
 Find the physical parameters that make a simulator move as a log shows: for a
 dropped ball, its coefficient of restitution. Reads videos (.mp4, .mov, ...), and
-logs (MCAP, ROS bags, their folders) that hold the ball's position (geometry_msgs/msg/PoseStamped) or a camera's
-pictures (sensor_msgs/msg/CompressedImage) under any topic, ours or not.
+logs (MCAP, ROS bags and their folders) that hold the ball's position
+(geometry_msgs/msg/PoseStamped) or a camera's pictures
+(sensor_msgs/msg/CompressedImage) under any topic, ours or not.
 
 Writes NAME.json (the result) and NAME.rrd (the review, for `rerun NAME.rrd`)
 beside each log, and prints a table. Exit code 1 if a log was rejected."""
