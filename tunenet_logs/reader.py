@@ -60,7 +60,8 @@ def read_episode(path: Path) -> Episode:
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror})") from error
     if gathered.is_empty and not all(one.harmless for one in losses):
-        raise LogError(f"{path}: nothing in it can be read: {losses[0]}")
+        why = "; ".join(str(one) for one in losses[:3])
+        raise LogError(f"{path}: nothing in it can be read: {why}")
     return gathered.episode(path, found, losses)
 
 
@@ -172,7 +173,9 @@ class _Gathered:
 
 
 def _in_words(losses: Sequence[Loss]) -> list[str]:
-    words = [str(one) for one in losses[:_MOST_LOSSES]]
+    words = [str(one) for one in losses if one.harmless]
+    losses = [one for one in losses if not one.harmless]
+    words += [str(one) for one in losses[:_MOST_LOSSES]]
     if len(losses) > _MOST_LOSSES:
         rest = losses[_MOST_LOSSES:]
         lost = sum(one.size for one in rest)

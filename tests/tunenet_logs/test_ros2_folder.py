@@ -142,7 +142,7 @@ def test_the_commands_take_a_folder(command: Command, tmp_path: Path, storage: S
     result = command("tunenet-logs", "info", f"{folder}/")
     assert result.returncode == 0, result.stderr
     size = sum(one.stat().st_size for one in folder.iterdir())
-    assert result.stdout.startswith(f"{folder}: {size} bytes\n")
+    assert result.stdout.startswith(f"{folder}: {size} bytes, ")
     result = command("tunenet-tune", ".", cwd=folder)
     assert result.returncode == 0, result.stderr
     report = json.loads((tmp_path / "lab.drop.json").read_text())
