@@ -195,10 +195,17 @@ WRITERS: dict[str, Callable[[Path, np.ndarray, np.ndarray], None]] = {
 """Writers of the same positions, by the name of a file."""
 
 
-def without_chunks(source: Path, path: Path) -> None:
-    """The same messages outside chunks, with the data checksum that our writer sets."""
+def without_chunks(source: Path, path: Path, *, chunks: bool = False, crcs: bool = True) -> None:
+    """The same messages outside chunks, or in some that are not packed; with checksums or none."""
     with source.open("rb") as read, path.open("wb") as file:
-        writer = Writer(file, use_chunking=False, enable_data_crcs=True)
+        plain = CompressionType.NONE
+        writer = Writer(
+            file,
+            use_chunking=chunks,
+            compression=plain,
+            enable_crcs=crcs,
+            enable_data_crcs=crcs,
+        )
         writer.start("ros2")
         channels: dict[int, int] = {}
         for schema, channel, message in make_reader(read).iter_messages():

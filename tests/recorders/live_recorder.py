@@ -32,6 +32,7 @@ from tunenet_logs.clock import now_ns
 from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.errors import LogError
 from tunenet_logs.reader import read_episode
+from tunenet_logs.recovery import recover
 
 ROOT = Path(__file__).resolve().parents[2]
 PICTURES = "/camera/image_raw/compressed"
@@ -209,6 +210,17 @@ def check_killed_file(log: Path, found: dict[str, Found]) -> None:
     if found[PICTURES].messages:
         frames = [frame.data for frame in episode.frames(PICTURES)]
         assert frames == [frame_of(number) for number in range(found[PICTURES].messages)]
+    total = sum(one.messages for one in found.values())
+    if not total:
+        return
+    saved = log.with_name("saved.mcap")
+    assert recover(log, saved, overwrite=True).messages == total
+    with saved.open("rb") as file:
+        assert sum(1 for _ in make_reader(file, validate_crcs=True).iter_messages()) == total
+    words = [Path(sys.executable).with_name("rerun"), "mcap", "convert", saved]
+    subprocess.run(
+        [*words, "-o", log.with_name("saved.rrd")], check=True, capture_output=True, timeout=60
+    )
 
 
 def check_whole_file(log: Path, said: str) -> None:

@@ -1,0 +1,191 @@
+"""Our logs in other people's readers; one experiment in every container that can hold it."""
+
+from __future__ import annotations
+
+import base64
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag1 import Writer as BagWriter
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as FolderWriter
+from rosbags.typesys import Stores, get_typestore
+
+from analysis.tuning import Options, tune_log
+from tests import strangers
+from tests.conftest import BIN
+from tunenet_logs.episode import EpisodeInfo, Frame
+from tunenet_logs.importing import import_log
+from tunenet_logs.reader import read_episode
+from tunenet_logs.writer import EpisodeWriter
+
+NAMES = [f"joint_{number}" for number in range(1, 8)]
+IMAGE = "sensor_msgs/msg/CompressedImage"
+
+
+@pytest.fixture(scope="module")
+def ours(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A log of ours with all that we write."""
+    path = tmp_path_factory.mktemp("ours") / "ours.mcap"
+    rng = np.random.default_rng(0)
+    with EpisodeWriter(path, EpisodeInfo(kind="drop"), live=False) as writer:
+        for index in range(20):
+            stamp = index * 10_000_000
+            pixels = rng.integers(0, 255, (24, 32, 3), np.uint8)
+            jpeg = cv2.imencode(".jpg", pixels)[1].tobytes()
+            writer.write_frame("/camera/image_raw/compressed", Frame(stamp, "jpeg", jpeg))
+            writer.write_frame("/camera/raw", Frame(stamp, "rgb8", pixels.tobytes(), (32, 24)))
+            writer.write_joints("/joint_states", stamp, NAMES, rng.normal(size=7), [], NAMES_SIZE)
+            writer.write_pose("/ball/pose", stamp, rng.normal(size=3))
+    return path
+
+
+NAMES_SIZE = np.arange(7.0)
+
+
+def test_the_libraries_of_ros_2_and_mcap_read_it(ours: Path):
+    with ours.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()], validate_crcs=True)
+        decoded = list(reader.iter_decoded_messages())
+    assert len(decoded) == 80
+    efforts = [one[3].effort for one in decoded if one[1].topic == "/joint_states"]
+    assert all(list(one) == list(NAMES_SIZE) for one in efforts)
+    with AnyReader([ours]) as bag:
+        assert sum(1 for one in bag.messages()) == 80
+
+
+@pytest.mark.parametrize(
+    ("entity", "component"),
+    [
+        ("/camera/image_raw/compressed", "EncodedImage:blob"),
+        ("/camera/raw", "Image:buffer"),
+        ("/joint_states/effort", "Scalars:scalars"),
+        ("/ball/pose", ":translation"),
+    ],
+)
+def test_rerun_shows_all_of_it_natively(ours: Path, tmp_path: Path, entity: str, component: str):
+    convert = [BIN / "rerun", "mcap", "convert", ours, "-o", tmp_path / "a.rrd"]
+    subprocess.run(convert, check=True, capture_output=True, timeout=60)
+    shown = subprocess.run(
+        [BIN / "rerun", "rrd", "print", "-v", "--entity", entity, tmp_path / "a.rrd"],
+        check=True, capture_output=True, text=True, timeout=60,
+    ).stdout  # fmt: skip
+    assert component in shown
+
+
+def write_pictures_bag(path: Path, frames: list[Frame]) -> Path:
+    store = get_typestore(Stores.ROS1_NOETIC)
+    with BagWriter(path) as writer:
+        connection = writer.add_connection("/eye/compressed", IMAGE, typestore=store)
+        for count, frame in enumerate(frames):
+            data = bytes(store.serialize_ros1(_image(store.types, frame, seq=count), IMAGE))
+            writer.write(connection, frame.stamp_ns, data)
+    return path
+
+
+def write_pictures_folder(path: Path, frames: list[Frame], storage: StoragePlugin) -> Path:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    with FolderWriter(path, version=9, storage_plugin=storage) as writer:
+        connection = writer.add_connection("/eye/compressed", IMAGE, typestore=store)
+        for frame in frames:
+            data = bytes(store.serialize_cdr(_image(store.types, frame), IMAGE))
+            writer.write(connection, frame.stamp_ns, data)
+    return path
+
+
+def write_pictures_json(path: Path, frames: list[Frame]) -> Path:
+    messages = [
+        {
+            "timestamp": {"sec": one.stamp_ns // 10**9, "nsec": one.stamp_ns % 10**9},
+            "frame_id": "eye",
+            "format": "jpeg",
+            "data": base64.b64encode(one.data).decode(),
+        }
+        for one in frames
+    ]
+    stamps = np.array([one.stamp_ns for one in frames])
+    strangers.write_texts(path, "foxglove.CompressedImage", messages, "/eye", stamps)
+    return path
+
+
+def write_pictures_protobuf(path: Path, frames: list[Frame]) -> Path:
+    from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+    from mcap_protobuf.writer import Writer
+
+    with path.open("wb") as file, Writer(file) as writer:
+        for one in frames:
+            message = CompressedImage(frame_id="eye", format="jpeg", data=one.data)
+            message.timestamp.FromNanoseconds(one.stamp_ns)
+            writer.write_message("/eye", message, one.stamp_ns, one.stamp_ns)
+    return path
+
+
+def _image(types: Any, frame: Frame, **more: Any) -> Any:
+    seconds, nanoseconds = divmod(frame.stamp_ns, 10**9)
+    stamp = types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
+    header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="eye", **more)
+    data = np.frombuffer(frame.data, np.uint8)
+    return types[IMAGE](header=header, format="jpeg", data=data)
+
+
+def test_the_same_frames_come_out_of_every_container(filmed_log: Path, tmp_path: Path):
+    """The same bytes at the same stamps, so the tuned value is the same to the last bit."""
+    begin = 1_700_000_000 * 10**9
+    truth = [
+        Frame(begin + one.stamp_ns, one.encoding, one.data)
+        for one in read_episode(filmed_log).frames()
+    ]
+    logs = [
+        write_pictures_bag(tmp_path / "a.bag", truth),
+        write_pictures_folder(tmp_path / "db3", truth, StoragePlugin.SQLITE3),
+        write_pictures_folder(tmp_path / "mcap", truth, StoragePlugin.MCAP),
+        write_pictures_json(tmp_path / "json.mcap", truth),
+        write_pictures_protobuf(tmp_path / "protobuf.mcap", truth),
+    ]
+    for log in logs:
+        found = list(read_episode(log).frames())
+        assert [one.stamp_ns for one in found] == [one.stamp_ns for one in truth], log
+        assert all(one.data == two.data for one, two in zip(found, truth, strict=True)), log
+    first, last = (tune_log(log, Options()).estimate for log in (filmed_log, logs[0]))
+    assert first is not None
+    assert last is not None
+    assert abs(first[0] - last[0]) < 1e-3
+
+
+@pytest.mark.parametrize("kind", ["bag", "db3", "protobuf", "csv"])
+def test_an_import_tunes_like_what_it_came_from(tmp_path: Path, kind: str):
+    samples = strangers.Stranger(0.6).samples()
+    log = tmp_path / {"db3": "bag", "protobuf": "a.mcap"}.get(kind, f"a.{kind}")
+    write = {
+        "bag": strangers.write_poses_bag,
+        "db3": strangers.write_poses_folder,
+        "protobuf": strangers.write_protobuf,
+        "csv": strangers.write_table,
+    }[kind]
+    write(log, *samples)  # type: ignore[operator]
+    imported = import_log(log, tmp_path / "imported.mcap")
+    assert imported.messages == len(samples[0])
+    one, other = (tune_log(path, Options()) for path in (log, tmp_path / "imported.mcap"))
+    assert one.estimate is not None
+    assert other.estimate is not None
+    assert abs(one.estimate[0] - other.estimate[0]) < 1e-9
+    assert not read_episode(tmp_path / "imported.mcap").warnings
+
+
+def test_joints_and_videos_can_be_imported(tmp_path: Path, ours: Path):
+    import_log(ours, tmp_path / "again.mcap")
+    before, after = read_episode(ours), read_episode(tmp_path / "again.mcap")
+    assert before.signals.keys() == after.signals.keys()
+    for name, signal in before.signals.items():
+        assert np.array_equal(signal.values, after.signals[name].values)
+        assert np.array_equal(signal.stamps_ns, after.signals[name].stamps_ns)
+    for topic in before.picture_topics:
+        pairs = zip(before.frames(topic), after.frames(topic), strict=True)
+        assert all((one.data, one.size) == (other.data, other.size) for one, other in pairs)
