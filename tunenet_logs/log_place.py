@@ -36,8 +36,8 @@ class LogPlace:
             raise LogError(f"{path}: exists; choose another name with -o, or pass --overwrite")
         if self.active_path.exists() and not overwrite:
             raise LogError(
-                f"{self.active_path}: is left from a recording that did not end; "
-                "move it away, or pass --overwrite"
+                f"{self.active_path}: is left from a recording that did not end; save it with "
+                "tunenet-logs recover and move it away, or pass --overwrite to lose it"
             )
         try:
             free = free_bytes(path.parent)
