@@ -18,7 +18,7 @@ from analysis.review import write_review
 from analysis.tuning import Options, Tuning, tune_log
 from tunenet_logs.errors import LogError, UsageError, WeightsError
 from tunenet_logs.formats.opening import is_folder
-from tunenet_logs.log_place import ACTIVE_SUFFIX
+from tunenet_logs.output.log_place import ACTIVE_SUFFIX
 from tunenet_logs.progress import Progress
 
 _PARTIAL = ".partial"

@@ -17,10 +17,10 @@ from tunenet_logs import __version__, messages
 from tunenet_logs.clock import now_ns
 from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.errors import LogError
-from tunenet_logs.log_place import LogPlace
-from tunenet_logs.mcap_output import McapOutput
 from tunenet_logs.messages import INFO_RECORD
-from tunenet_logs.whole_file import WholeFile
+from tunenet_logs.output.log_place import LogPlace
+from tunenet_logs.output.mcap_output import McapOutput
+from tunenet_logs.output.whole_file import WholeFile
 
 _CHUNK_SECONDS = 0.1
 _SYNC_SECONDS = 1.0

@@ -12,8 +12,8 @@ from mcap.reader import NonSeekingReader, make_reader
 from mcap.writer import CompressionType, Writer
 
 from tests.conftest import files_no_larger_than
-from tunenet_logs.mcap_output import McapOutput
-from tunenet_logs.whole_file import WholeFile
+from tunenet_logs.output.mcap_output import McapOutput
+from tunenet_logs.output.whole_file import WholeFile
 
 MESSAGES = [(index % 2, 50 + 7 * (index % 3), os.urandom(index * 37 % 9000)) for index in range(99)]
 

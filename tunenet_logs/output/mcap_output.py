@@ -24,8 +24,8 @@ from mcap.records import (
     Schema,
 )
 
-from tunenet_logs.mcap_summary import MAGIC, McapSummary, bare_ending, bytes_of
-from tunenet_logs.whole_file import WholeFile
+from tunenet_logs.output.mcap_summary import MAGIC, McapSummary, bare_ending, bytes_of
+from tunenet_logs.output.whole_file import WholeFile
 
 _CHUNK_BYTES = 64 * 1024
 _MESSAGE = struct.Struct("<BQHIQQ")

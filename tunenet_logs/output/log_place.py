@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from tunenet_logs.errors import LogError
-from tunenet_logs.whole_file import free_bytes
+from tunenet_logs.output.whole_file import free_bytes
 
 ACTIVE_SUFFIX = ".active"
 
