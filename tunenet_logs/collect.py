@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tunenet_logs.episode import Signal
+from tunenet_logs.formats.base import BeyondLimitError
 from tunenet_logs.formats.kinds import JointSample, Picture, Place
-from tunenet_logs.stamps import order_samples, trusts_header
+from tunenet_logs.stamps import choose_stamps, in_order, order_samples, trusts_header
 
 _MOST_NAMES = 1000
 """Bodies or joints of one topic; more are no robot's, but a damaged or hostile log's."""
@@ -24,10 +25,9 @@ class _Rows:
 
     header_ns: array[int] = field(default_factory=lambda: array("q"))
     log_ns: array[int] = field(default_factory=lambda: array("q"))
-    order: array[int] = field(default_factory=lambda: array("q"))
     values: array[float] = field(default_factory=lambda: array("d"))
 
-    def add(self, header_ns: int, log_ns: int, order: int) -> None:
+    def add(self, header_ns: int, log_ns: int) -> None:
         """The stamps of a sample; the first may not fit.
 
         Raises:
@@ -35,7 +35,10 @@ class _Rows:
         """
         self.header_ns.append(header_ns)
         self.log_ns.append(log_ns)
-        self.order.append(order)
+
+    def stamps(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Header and log stamps, each of shape (T,)."""
+        return np.frombuffer(self.header_ns, np.int64), np.frombuffer(self.log_ns, np.int64)
 
 
 class PositionRows:
@@ -43,35 +46,39 @@ class PositionRows:
 
     def __init__(self, topic: str) -> None:
         self._topic = topic
-        self._rows: dict[str, _Rows] = {}
-        self._count = 0
+        self._rows: dict[tuple[str, str], _Rows] = {}
 
     def add(self, log_ns: int, places: Iterable[Place]) -> None:
         """The places of one message.
 
         Raises:
+            BeyondLimitError: more bodies than a topic may have.
             ValueError, OverflowError: they make no sense.
         """
-        for stamp_ns, name, x, y, z in places:
-            rows = self._rows.get(name)
+        for stamp_ns, name, frame, x, y, z in places:
+            rows = self._rows.get((name, frame))
             if rows is None:
                 if len(self._rows) >= _MOST_NAMES:
-                    raise ValueError(f"over {_MOST_NAMES} names in {self._topic}")
-                rows = self._rows[name] = _Rows()
-            self._count += 1
-            rows.add(stamp_ns, log_ns, self._count)
+                    raise BeyondLimitError(f"over {_MOST_NAMES} names")
+                rows = self._rows[name, frame] = _Rows()
+            rows.add(stamp_ns, log_ns)
             rows.values.extend((x, y, z))
 
     def signals(self) -> tuple[list[Signal], list[str]]:
         """One for each thing that has a place, and what was repaired."""
         found: list[Signal] = []
         notes: list[str] = []
-        for name, rows in self._rows.items():
+        taken: set[str] = set()
+        for (name, frame), rows in self._rows.items():
             full = f"{self._topic}.{name}" if name else self._topic
+            if full in taken:
+                full = f"{full}@{frame}"
+                notes.append(f"{full}: {name} has a place in several frames, each is by itself")
+            taken.add(full)
             values = np.frombuffer(rows.values, np.float64).reshape(-1, 3)
-            signal, repairs = _signal(full, _stamps(rows), values, ("x", "y", "z"), "m")
-            found.append(signal)
-            notes += repairs
+            keep, stamps_ns, repairs = order_samples(*rows.stamps())
+            found.append(_signal(full, stamps_ns, values[keep], ("x", "y", "z"), "m"))
+            notes += [f"{full}: {repair}" for repair in repairs]
         return found, notes
 
 
@@ -83,7 +90,6 @@ class JointRows:
     def __init__(self, topic: str) -> None:
         self._topic = topic
         self._blocks: dict[tuple[str, ...], tuple[_Rows, tuple[array[float], ...]]] = {}
-        self._count = 0
 
     def add(self, log_ns: int, sample: JointSample) -> None:
         """One message.
@@ -101,44 +107,45 @@ class JointRows:
         width = 8 * len(names)
         if not {len(position), len(velocity), len(effort)} <= {0, width}:
             raise ValueError(f"a message has {len(names)} names but another number of values")
-        self._count += 1
-        rows.add(stamp_ns, log_ns, self._count)
+        rows.add(stamp_ns, log_ns)
         positions.frombytes(position or _NOTHING[:width])
         velocities.frombytes(velocity or _NOTHING[:width])
         efforts.frombytes(effort or _NOTHING[:width])
 
     def _new_block(self, names: tuple[str, ...]) -> tuple[_Rows, tuple[array[float], ...]]:
-        known = sum(len(one) for one in self._blocks)
-        if known + len(names) > _MOST_NAMES or len(set(names)) < len(names):
-            raise ValueError(f"too many joints, or two of one name, in {self._topic}")
+        if sum(len(one) for one in self._blocks) + len(names) > _MOST_NAMES:
+            raise BeyondLimitError(f"over {_MOST_NAMES} joints")
+        if len(set(names)) < len(names):
+            raise ValueError("two joints have one name")
         self._blocks[names] = (_Rows(), (array("d"), array("d"), array("d")))
         return self._blocks[names]
 
     def signals(self) -> tuple[list[Signal], list[str]]:
-        """Those of the three that say anything, and what was repaired."""
-        columns = tuple(dict.fromkeys(name for names in self._blocks for name in names))
+        """Those of the three that say anything, and what was repaired.
+
+        Messages with one stamp and different joints make one sample: several may publish them.
+        """
         blocks = list(self._blocks.items())
         if not blocks:
             return [], []
-        order = np.concatenate([np.frombuffer(rows.order, np.int64) for _, (rows, _) in blocks])
-        stamps = np.concatenate([_stamps(rows) for _, (rows, _) in blocks])
-        ranks = np.argsort(order)
+        columns = tuple(dict.fromkeys(name for names in self._blocks for name in names))
+        headers, logs = zip(*(rows.stamps() for _, (rows, _) in blocks), strict=True)
+        stamps, notes = choose_stamps(np.concatenate(headers), np.concatenate(logs))
+        ends = np.cumsum([len(one) for one in logs])
+        ordered = [in_order(one) for one in np.split(stamps, ends[:-1])]
+        notes += [repair for _, _, repairs in ordered for repair in repairs]
+        stamps_ns = np.unique(np.concatenate([one for _, one, _ in ordered]))
         found: list[Signal] = []
-        notes: list[str] = []
         for part, (label, unit) in enumerate(self._PARTS):
-            values = np.full((len(order), len(columns)), np.nan)
-            row = 0
-            for names, (_, stores) in blocks:
-                block = np.frombuffer(stores[part], np.float64).reshape(-1, len(names))
-                places = [columns.index(one) for one in names]
-                values[row : row + len(block), places] = block
-                row += len(block)
+            values = np.full((len(stamps_ns), len(columns)), np.nan)
+            for (names, (_, stores)), (keep, own_ns, _) in zip(blocks, ordered, strict=True):
+                block = np.frombuffer(stores[part], np.float64).reshape(-1, len(names))[keep]
+                places = np.array([columns.index(one) for one in names])
+                cells = np.ix_(np.searchsorted(stamps_ns, own_ns), places)
+                values[cells] = np.where(np.isnan(values[cells]), block, values[cells])
             if np.isfinite(values).any():
-                full = f"{self._topic}.{label}"
-                signal, repairs = _signal(full, stamps[ranks], values[ranks], columns, unit)
-                found.append(signal)
-                notes = [note.replace(f"{full}:", f"{self._topic}:", 1) for note in repairs]
-        return found, notes
+                found.append(_signal(f"{self._topic}.{label}", stamps_ns, values, columns, unit))
+        return found, [f"{self._topic}: {note}" for note in dict.fromkeys(notes)]
 
 
 class PictureStamps:
@@ -166,20 +173,12 @@ def _numbered(count: int) -> tuple[str, ...]:
     return tuple(f"joint{number}" for number in range(1, count + 1))
 
 
-def _stamps(rows: _Rows) -> NDArray[np.int64]:
-    """Header and log stamps, shape (T, 2)."""
-    header_ns = np.frombuffer(rows.header_ns, np.int64)
-    return np.column_stack([header_ns, np.frombuffer(rows.log_ns, np.int64)])
-
-
 def _signal(
     name: str,
-    stamps: NDArray[np.int64],
+    stamps_ns: NDArray[np.int64],
     values: NDArray[np.float64],
     columns: tuple[str, ...],
     unit: str,
-) -> tuple[Signal, list[str]]:
-    keep, stamps_ns, repairs = order_samples(stamps[:, 0], stamps[:, 1])
-    kept = values[keep]
-    kept[~np.isfinite(kept)] = np.nan
-    return Signal(name, stamps_ns, kept, columns, unit), [f"{name}: {note}" for note in repairs]
+) -> Signal:
+    values[~np.isfinite(values)] = np.nan
+    return Signal(name, stamps_ns, values, columns, unit)

@@ -40,7 +40,7 @@ def gaps_s(stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
     periods = np.diff(np.sort(stamps_ns)) * 1e-9
     if len(periods) < 2:
         return np.empty(0)
-    return periods[periods > _GAP * max(float(np.median(periods)), 1e-3)]
+    return periods[periods > _GAP * max(float(np.quantile(periods, 0.75)), 1e-3)]
 
 
 def _size(path: Path) -> int:

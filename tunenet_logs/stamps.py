@@ -15,6 +15,8 @@ def trusts_header(header_ns: NDArray[np.int64]) -> tuple[bool, list[str]]:
     Args:
         header_ns: acquisition stamps of T messages in file order [ns]; 0 where not set.
     """
+    if not len(header_ns):
+        return True, []
     if np.count_nonzero(header_ns == 0) > 1:
         return False, []
     if len(np.unique(header_ns)) <= _MIN_DIFFERENT * len(header_ns):
@@ -22,6 +24,14 @@ def trusts_header(header_ns: NDArray[np.int64]) -> tuple[bool, list[str]]:
     if np.count_nonzero(np.diff(header_ns) < 0) > _MAX_REVERSALS * len(header_ns):
         return False, ["header stamps run backwards, so the log's own times are used"]
     return True, []
+
+
+def choose_stamps(
+    header_ns: NDArray[np.int64], log_ns: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], list[str]]:
+    """The header's stamps where they tell the time, else the log's; and why, if that is of note."""
+    is_header, notes = trusts_header(header_ns)
+    return (header_ns if is_header else log_ns), notes
 
 
 def order_samples(
@@ -38,8 +48,20 @@ def order_samples(
     Returns:
         Indices of the samples to keep, their stamps (strictly increasing), and what was repaired.
     """
-    is_header, notes = trusts_header(header_ns)
-    stamps = header_ns if is_header else log_ns
+    stamps, notes = choose_stamps(header_ns, log_ns)
+    order, ordered, repairs = in_order(stamps)
+    return order, ordered, notes + repairs
+
+
+def in_order(
+    stamps: NDArray[np.int64],
+) -> tuple[NDArray[np.intp], NDArray[np.int64], list[str]]:
+    """Sort; of samples with one stamp the first is kept.
+
+    Returns:
+        Indices of the samples to keep, their stamps (strictly increasing), and what was repaired.
+    """
+    notes: list[str] = []
     order = np.argsort(stamps, kind="stable")
     reversals = int(np.count_nonzero(np.diff(stamps) < 0))
     ordered = stamps[order]

@@ -20,6 +20,8 @@ from tunenet_logs.errors import NotFoundError, UsageError
 
 Array = NDArray[np.float64]
 
+_HIGHEST_M = 100.0
+
 
 @dataclass(frozen=True, eq=False)
 class FoundDrop:
@@ -65,13 +67,20 @@ def drop_problem(found: FoundDrop, initial: Array) -> Problem:
     try:
         rig, contact = rig_like(found)
     except UsageError as error:  # the user chose nothing here: the log asks for it
-        raise NotFoundError(f"this drop cannot be simulated: {error}") from error
+        hint = _too_high(found.drop.drop_height_m)
+        raise NotFoundError(f"this drop cannot be simulated: {hint or error}") from error
     simulator = DropSimulator(rig, contact)
     if contact == PAPER:
         view = views.paper_rollout if found.film is None else views.paper_unit_heights
         return Problem(found.target, simulator, view, initial)
     observe = partial(_observe_rollout, rig=rig, contact=contact)
     return Problem(found.target, simulator, observe, initial)
+
+
+def _too_high(drop_height_m: float) -> str:
+    if drop_height_m < _HIGHEST_M:
+        return ""
+    return f"the ball falls {drop_height_m:.4g} m; are the lengths in mm or cm? give them in m"
 
 
 def rig_like(found: FoundDrop) -> tuple[DropRig, ContactSettings]:

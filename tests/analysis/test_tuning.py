@@ -335,3 +335,11 @@ def test_samples_that_may_have_been_changed_make_a_tuning_suspect(tmp_path: Path
     tuning = tune_log(plain, Options())
     assert tuning.verdict == "suspect"
     assert "checksum" in (tuning.reason or "")
+
+
+def test_lengths_in_millimetres_are_asked_for(tmp_path: Path):
+    stamps, positions = Stranger(0.7, gap_m=1.2).samples()
+    write_poses(tmp_path / "a.mcap", stamps, 1000 * positions)
+    tuning = tune_log(tmp_path / "a.mcap", Options())
+    assert tuning.verdict == "rejected"
+    assert "are the lengths in mm" in (tuning.reason or "")

@@ -67,3 +67,12 @@ def test_one_bad_file_does_not_hide_the_others(command: Command, drop_log: Path,
     assert result.returncode == 1
     assert f"{drop_log}: whole" in result.stdout
     assert result.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("more", [b"garbage", b""], ids=["bytes", "another log"])
+def test_what_follows_the_end_is_said(drop_log: Path, command: Command, more: bytes):
+    data = drop_log.read_bytes()
+    drop_log.write_bytes(data + (more or data))
+    result = command("tunenet-logs", "check", drop_log)
+    assert result.returncode == 1
+    assert ("bytes follow" if more else "another log follows") in result.stdout

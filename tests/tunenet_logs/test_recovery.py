@@ -12,6 +12,7 @@ from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
 
 from tests.conftest import BIN, Command, record
+from tests.strangers import without_chunks
 from tunenet_logs.errors import LogError, UsageError
 from tunenet_logs.reader import read_episode
 from tunenet_logs.recovery import recover
@@ -78,6 +79,22 @@ def test_what_follows_a_broken_length_is_found_again(long: Path, tmp_path: Path)
     recovered = recover(tmp_path / "a.mcap", tmp_path / "saved.mcap")
     assert any("found again" in loss for loss in recovered.losses)
     assert recovered.messages > 0.4 * len(read_episode(long).signals["/ball/pose"].values)
+
+
+def test_the_messages_of_a_cut_chunk_are_saved_where_it_is_not_packed(long: Path, tmp_path: Path):
+    without_chunks(long, tmp_path / "plain.mcap", chunks=True)
+    whole = (tmp_path / "plain.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) // 3])  # in the first of its chunks
+    recovered = recover(tmp_path / "cut.mcap", tmp_path / "saved.mcap")
+    truth = read_episode(long).signals["/ball/pose"].values
+    ball = read_episode(tmp_path / "saved.mcap").signals["/ball/pose"].values
+    assert len(ball) == recovered.messages > 0.2 * len(truth)
+    assert np.array_equal(ball, truth[: len(ball)])
+    assert read_episode(tmp_path / "cut.mcap").tainted
+    zeros = whole[: len(whole) // 3] + bytes(4096)  # as a file system leaves it
+    (tmp_path / "cut.mcap").write_bytes(zeros)
+    with pytest.raises(LogError, match="end of the file"):
+        read_episode(tmp_path / "cut.mcap")
 
 
 def test_unknown_messages_and_attachments_are_copied_untouched(tmp_path: Path):

@@ -21,7 +21,7 @@ SAMPLES = Stranger(0.6).samples()
 SUFFIXES = {StoragePlugin.SQLITE3: ".db3", StoragePlugin.MCAP: ".mcap"}
 
 
-def split(folder: Path, storage: StoragePlugin, numbers: tuple[int, ...] = (9, 10, 100)) -> Path:
+def split(folder: Path, storage: StoragePlugin, numbers: tuple[int, ...] = (9, 10, 11)) -> Path:
     """A bag in several files, the last written first."""
     folder.mkdir()
     parts = np.array_split(np.arange(len(SAMPLES[0])), len(numbers))
@@ -88,7 +88,7 @@ def test_without_its_metadata_it_says_what_it_took_for_one(tmp_path: Path):
     (folder / "metadata.yaml").unlink()
     episode = read_episode(folder)
     assert not episode.losses
-    assert any("lab_drop_9.mcap to lab_drop_100.mcap" in one for one in episode.warnings)
+    assert any("lab_drop_9.mcap to lab_drop_11.mcap" in one for one in episode.warnings)
 
 
 @pytest.mark.parametrize(
@@ -149,3 +149,9 @@ def test_the_commands_take_a_folder(command: Command, tmp_path: Path, storage: S
     assert report["verdict"] == "ok"
     assert (tmp_path / "lab.drop.rrd").exists()
     assert before == sorted(folder.iterdir())
+
+
+def test_a_part_that_is_missing_is_said(tmp_path: Path):
+    folder = split(tmp_path / "bag", StoragePlugin.MCAP, (0, 1, 3, 10))
+    [loss] = read_episode(folder).losses
+    assert "number 2, 4, 5, 6, 7 are missing" in loss

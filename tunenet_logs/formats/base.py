@@ -22,6 +22,10 @@ DAMAGED = (
 """What parsers raise on bytes that are not what they say they are, found by fuzzing them."""
 
 
+class BeyondLimitError(ValueError):
+    """A message that may be whole, but is larger than any that is read."""
+
+
 @dataclass(frozen=True, eq=False)
 class RawChannel:
     """A channel as its container describes it; told apart by identity.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bz2
+from contextlib import suppress
 
 import lz4.frame
 import zstandard
@@ -100,11 +101,13 @@ def unpack_start(data: bytes | memoryview, compression: str, most: int) -> bytes
 
     Args:
         data: packed, with or without its end.
-        compression: "lz4", "bz2", or "" or "none".
+        compression: "zstd", "lz4", "bz2", or "" or "none".
         most: bytes to unpack at most.
     """
     if compression in ("", "none"):
         return bytes(data[:most])
+    if compression == "zstd":
+        return _zstd_start(data, most)
     if compression not in ("lz4", "bz2"):
         return b""
     stream = lz4.frame.LZ4FrameDecompressor() if compression == "lz4" else bz2.BZ2Decompressor()
@@ -117,4 +120,12 @@ def unpack_start(data: bytes | memoryview, compression: str, most: int) -> bytes
                 break
     except (RuntimeError, OSError, EOFError, MemoryError):
         pass  # what came before is whole
+    return bytes(plain)
+
+
+def _zstd_start(data: bytes | memoryview, most: int) -> bytes:
+    plain = bytearray()
+    with suppress(zstandard.ZstdError), zstandard.ZstdDecompressor().stream_reader(data) as packed:
+        while len(plain) < most and (piece := packed.read(min(_PIECE_BYTES, most - len(plain)))):
+            plain += piece
     return bytes(plain)

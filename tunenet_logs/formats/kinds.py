@@ -14,8 +14,8 @@ import numpy as np
 from tunenet_logs.formats.base import RawChannel
 from tunenet_logs.formats.ros import ros_name
 
-Place = tuple[int, str, float, float, float]
-"""Stamp [ns] (0: not set), what it is the place of ("": the topic's own), x, y, z [m]."""
+Place = tuple[int, str, str, float, float, float]
+"""Stamp [ns] (0: not set), of what ("": the topic's own), in which frame ("": any); x, y, z [m]."""
 
 STAMP_FIELDS = (("sec", "nanosec"), ("seconds", "nanos"), ("sec", "nsec"), ("secs", "nsecs"))
 """What ROS 2, protobuf, Foxglove's JSON and ROS 1 call the parts of a time."""
@@ -107,8 +107,8 @@ def _ros_stamp(message: Any) -> int:
         return time_ns(stamp)
 
 
-def _place(stamp_ns: int, point: Any, name: str = "") -> Place:
-    return stamp_ns, name, float(point.x), float(point.y), float(point.z)
+def _place(stamp_ns: int, point: Any, name: str = "", frame: str = "") -> Place:
+    return stamp_ns, name, frame, float(point.x), float(point.y), float(point.z)
 
 
 def _at(path: str) -> Positions:
@@ -126,13 +126,19 @@ def _at(path: str) -> Positions:
 
 def _transforms(message: Any) -> Iterable[Place]:
     return [
-        _place(_ros_stamp(one), one.transform.translation, one.child_frame_id)
+        _place(
+            _ros_stamp(one),
+            one.transform.translation,
+            one.child_frame_id,
+            str(getattr(one.header, "frame_id", "")),
+        )
         for one in message.transforms
     ]
 
 
 def _frame_transform(one: Any) -> Place:
-    return _place(time_ns(one.timestamp), one.translation, one.child_frame_id)
+    parent = str(getattr(one, "parent_frame_id", ""))
+    return _place(time_ns(one.timestamp), one.translation, one.child_frame_id, parent)
 
 
 def _joint_state(message: Any) -> JointSample:

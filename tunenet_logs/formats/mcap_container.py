@@ -31,6 +31,7 @@ from tunenet_logs.formats.compression import (
     is_packed,
     unpack,
     unpack_message,
+    unpack_start,
 )
 from tunenet_logs.formats.mcap_places import (
     CHUNK,
@@ -51,6 +52,7 @@ _USED_IN_SUMMARY = frozenset((Opcode.STATISTICS, Opcode.FOOTER))
 _USED = frozenset(
     (Opcode.CHUNK, Opcode.METADATA, Opcode.ATTACHMENT, Opcode.DATA_END, Opcode.FOOTER)
 ).union(_USED_IN_CHUNK)
+_ZEROS = 64
 _NO_END = "the end of the file is missing (a recording that did not end?)"
 
 
@@ -95,7 +97,7 @@ class _Reading:
             if behind > self.size:
                 found = self._next_chunk(at + 1)
                 if found is None:
-                    self._lose(f"{_NO_END}; its last record is cut", at, self.size - at)
+                    yield from self._cut_record(opcode, at)
                     break
                 what = f"a record claims {length} bytes; what follows was found again"
                 self._lose(what, at, found - at)
@@ -105,6 +107,26 @@ class _Reading:
             yield from self._record(opcode, length, head, at)
             at = behind
         self._close()
+
+    def _cut_record(self, opcode: int, at: int) -> Sequence[Record]:
+        """What can be had of a record that the file ends in: the first messages of a chunk."""
+        body = memoryview(self.file.read(min(self.size - at, MAX_PART_BYTES)))
+        found: list[Record] = []
+        if opcode == Opcode.CHUNK and any(body[-_ZEROS:]):  # a file system may leave zeros
+            with suppress(*_DAMAGED):
+                _, _, stated, _, length = CHUNK.unpack_from(body)
+                start = CHUNK.size + length
+                compression = bytes(body[CHUNK.size : start]).decode("ascii", "replace")
+                most = min(stated, MAX_PART_BYTES)
+                self.budget.spend(most)
+                plain = unpack_start(body[start + 8 :], compression, most)
+                self._walk(memoryview(plain), found)
+        saved = sum(isinstance(one, RawMessage) for one in found)
+        what = f"{_NO_END}; its last record is cut"
+        if saved:
+            what += f" ({saved} messages of it are read, which no checksum covers)"
+        self.losses.append(Loss(what, at_byte=at, size=self.size - at, taints=bool(saved)))
+        return found
 
     def _record(self, opcode: int, length: int, head: bytes, at: int) -> Sequence[Record]:
         before = self.crc
@@ -158,6 +180,15 @@ class _Reading:
             raise ValueError("its checksum is wrong")
         self.unprotected |= not crc
         found: list[Record] = []
+        self._walk(plain, found)
+        return found
+
+    def _walk(self, plain: memoryview, found: list[Record]) -> None:
+        """Put the records of an unpacked chunk into `found`.
+
+        Raises:
+            ValueError, struct.error: what follows those is damaged.
+        """
         at = 0
         while at < len(plain):
             opcode, length = HEAD.unpack_from(plain, at)
@@ -171,7 +202,6 @@ class _Reading:
             elif opcode in _USED:
                 raise ValueError(f"it holds a record of kind {opcode}, which belongs outside")
             at += length
-        return found
 
     def _parse(self, opcode: int, body: memoryview) -> Sequence[Record]:
         if opcode == Opcode.MESSAGE:  # outside a chunk
@@ -246,6 +276,10 @@ class _Reading:
             self._lose("the end of the data is not marked")
         elif (stated and stated != crc) or self.file.read(len(MAGIC)) != MAGIC:
             self._lose("the index at the end is damaged (`tunenet-logs recover` writes it anew)")
+        end = self.file.tell()
+        if end < self.size:
+            what = "another log follows" if self.file.read(len(MAGIC)) == MAGIC else "bytes follow"
+            self._lose(f"{what} behind the end, which are not read", end, self.size - end)
 
     def _close(self) -> None:
         if self.ended and not self.is_protected:

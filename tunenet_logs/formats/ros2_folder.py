@@ -21,6 +21,7 @@ _READERS: dict[str, tuple[bytes, Container]] = {
 }
 _PACKED = (".db3.zstd", ".mcap.zstd")
 _INDEX = "metadata.yaml"
+_MOST_PARTS = 10_000
 _NUMBERED = re.compile(r"(.+)_([0-9]{1,18})", re.DOTALL)
 
 
@@ -35,6 +36,7 @@ def read_folder(
     if len(files) > 1 and not (path / _INDEX).is_file():
         what = f"no {_INDEX}; {files[0].name} to {files[-1].name} were read as one recording"
         losses.append(Loss(what, harmless=True))
+    losses += _missing_parts(files)
     troubles: list[str] = []
     told: set[Path] = set()
     begin = len(losses)
@@ -112,6 +114,17 @@ def _files(folder: Path) -> list[Path]:
     if len(numbered) < len(files) or len(names) > 1:
         raise _several(folder, files)
     return sorted(files, key=lambda one: (int(numbered[one][2]), one.name))
+
+
+def _missing_parts(files: Sequence[Path]) -> list[Loss]:
+    """Numbers that are not there between those that are."""
+    numbers = [int(match[2]) for one in files if (match := _NUMBERED.fullmatch(one.stem))]
+    if len(numbers) < 2 or numbers[-1] - numbers[0] > _MOST_PARTS:
+        return []
+    present = set(numbers)
+    absent = [one for one in range(numbers[0], numbers[-1]) if one not in present][:5]
+    words = ", ".join(str(one) for one in absent)
+    return [Loss(f"of its files, those with number {words} are missing")] if absent else []
 
 
 def _several(folder: Path, files: Iterable[Path]) -> LogError:

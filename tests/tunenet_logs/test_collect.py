@@ -1,0 +1,63 @@
+"""Of several publishers on one topic: what is apart stays apart, what is one becomes one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tunenet_logs.collect import JointRows, PositionRows
+from tunenet_logs.formats.base import BeyondLimitError
+from tunenet_logs.formats.kinds import JointSample
+
+NS = 10_000_000
+
+
+def test_joints_of_two_publishers_with_the_same_stamps_are_one_sample():
+    rows = JointRows("/joint_states")
+    for index in range(20):
+        arm = JointSample(5 + index * NS, ("a", "b"), [index, -index], [], [1.0, 2.0])
+        rows.add(index, arm)
+        rows.add(index, JointSample(5 + index * NS, ("gripper",), [0.5 * index]))
+    (position, effort), notes = rows.signals()
+    assert position.columns == effort.columns == ("a", "b", "gripper")
+    assert np.array_equal(position.values, [[one, -one, 0.5 * one] for one in range(20)])
+    assert np.isnan(effort.values[:, 2]).all()
+    assert not notes
+
+
+def test_joints_of_two_publishers_at_other_times_are_samples_of_their_own():
+    rows = JointRows("/joint_states")
+    for index in range(20):
+        rows.add(0, JointSample(5 + 2 * index * NS, ("a",), [index]))
+        rows.add(0, JointSample(5 + (2 * index + 1) * NS, ("b",), [index]))
+    (position,), _ = rows.signals()
+    assert np.array_equal(
+        np.isnan(position.values), np.tile([[False, True], [True, False]], (20, 1))
+    )
+
+
+def test_of_two_values_at_one_time_the_first_is_kept_and_that_is_said():
+    rows = JointRows("/joint_states")
+    for index in range(20):
+        rows.add(0, JointSample(5 + index * NS, ("a",), [index]))
+    rows.add(0, JointSample(5, ("a",), [99.0]))
+    (position,), notes = rows.signals()
+    assert position.values[0, 0] == 0
+    assert any("already seen" in note for note in notes)
+
+
+def test_a_body_in_two_frames_is_two_signals():
+    rows = PositionRows("/tf")
+    for index in range(20):
+        rows.add(0, [(5 + index * NS, "ball", "world", 0, 0, index)])
+        rows.add(0, [(5 + index * NS, "ball", "camera", 7, 7, index)])
+    signals, notes = rows.signals()
+    assert [one.name for one in signals] == ["/tf.ball", "/tf.ball@camera"]
+    assert all(len(one.stamps_ns) == 20 for one in signals)
+    assert any("several frames" in note for note in notes)
+
+
+def test_more_names_than_any_robot_has_are_refused_and_are_no_damage():
+    rows = PositionRows("/tf")
+    with pytest.raises(BeyondLimitError):
+        rows.add(0, [(1, f"frame{index}", "world", 0, 0, 0) for index in range(2000)])
