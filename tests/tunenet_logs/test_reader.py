@@ -187,3 +187,23 @@ def test_stamps_beyond_int64_are_left_out_and_counted(tmp_path: Path):
     episode = read_episode(tmp_path / "a.mcap")
     assert len(episode.signals["/vrpn/thing/pose"].values) == len(positions) - 1
     assert any("1 damaged" in warning for warning in episode.warnings)
+
+
+def test_a_chunk_damaged_behind_its_channel_does_not_hide_the_next(tmp_path: Path):
+    """Found by fuzzing: the channel was taken for known though nobody had been told of it."""
+    stamps, positions = Stranger(0.6).samples()
+    write_poses(tmp_path / "a.mcap", stamps, positions, compression=CompressionType.NONE)
+    data = (tmp_path / "a.mcap").read_bytes()
+    schema_at = data.index(b"geometry_msgs/msg/PoseStamped")
+    at = data.rindex(b"\x06", 0, schema_at - 40)
+    (length,) = struct.unpack_from("<Q", data, at + 1)
+    whole = data[at : at + 9 + length]
+    (unpacked,) = struct.unpack_from("<Q", whole, 9 + 16)
+    bad = bytearray(whole)
+    bad[9 + 24 : 9 + 28] = bytes(4)  # no checksum
+    first_message = whole.index(b"\x05" + struct.pack("<Q", 22 + 104))
+    bad[first_message + 1 : first_message + 9] = struct.pack("<Q", unpacked)
+    (tmp_path / "b.mcap").write_bytes(data[:at] + bytes(bad) + data[at:])
+    episode = read_episode(tmp_path / "b.mcap")
+    assert any("damaged chunk" in one for one in episode.losses)
+    assert np.array_equal(episode.signals["/vrpn/thing/pose"].values, positions)

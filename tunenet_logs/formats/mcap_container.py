@@ -179,8 +179,13 @@ class _Reading:
         if crc and zlib.crc32(plain) != crc:
             raise ValueError("its checksum is wrong")
         self.unprotected |= not crc
+        known, read = dict(self.channels), self.messages
         found: list[Record] = []
-        self._walk(plain, found)
+        try:
+            self._walk(plain, found)
+        except _DAMAGED:  # as if it had not been
+            self.channels, self.messages = known, read
+            raise
         return found
 
     def _walk(self, plain: memoryview, found: list[Record]) -> None:
