@@ -106,6 +106,7 @@ def test_torques_positions_and_velocities_of_joints(tmp_path: Path):
         ("t,/joint_states/effort[1]", "joint1"),
         ("t,field.effort1", "joint1"),
         ("t,effort_1", "joint1"),
+        ("t,joint1_effort (N·m)", "joint1"),
         ("t,joint_1_effort", "joint1"),
         ("t,shoulder_lift_joint.effort", "shoulder_lift_joint"),
         ("t,effort", "joint1"),
@@ -144,6 +145,20 @@ def test_columns_that_are_not_used_say_why(tmp_path: Path, column: str, reason: 
         ("t,x,y,z\na,b,c,d\n", "none of its 1 rows"),
         ("t,x,x\n0,1,2\n", "several columns"),
         ("t,position\n0,1\n", "of what"),
+        ("t,x,x\ns,mm,mm\n0,1,2\n", "several columns"),
+        ("t,x\ns,px\n0,1\n", "pixels"),
+        ("t,x\ns,ft\n0,1\n", "line 2: 'x' is in 'ft'.*convert it to m"),
+        ("t,x\nh,mm\n0,1\n", "line 2: 't' is in 'h'.*convert it"),
+        ("t_ms,x\ns,mm\n0,1\n", "line 2: 't_ms' is said to be in 's'"),
+        ("Length Units,Feet\nt,x\n0,1\n", "line 1: lengths are in 'Feet'.*convert it to m"),
+        ("t,x\n,\n-,\n", "none of its 1 rows holds a value"),
+        ("t,x\n\n21.11.2026 10:00,1\n", "line 3, column 't': '21.11.2026 10:00' is no time; write"),
+        ("t,x\n2026-13-21 10:00,1\n", "'2026-13-21 10:00' is no time"),
+        ("t,x\n9026-11-21 10:00,1\n", "'9026-11-21 10:00' is no time"),
+        ("t,x\n0,1.5.2\n", "line 2, column 'x': '1.5.2' is no number; write numbers as"),
+        ("t,x\n0,5,1,5\n0,6,1,5\n", "line 2, it has 4 cells, the header 2; .*';'"),
+        ("t;x\n0,5;1.050\n", "'1.050' may be 1.050 or 1050"),
+        ('t,x\n0.5,"1,050"\n', "'1,050' may be 1.050 or 1050"),
         ("\n\n", "columns"),
         (",,R,R,P,P\nFrame,Time (Seconds),X,Y,X,Y\n0,0,1,2,3,4\n", "several columns"),
     ],
@@ -154,12 +169,37 @@ def test_what_cannot_be_used_is_one_clear_error(tmp_path: Path, text: str, says:
     assert str(tmp_path / "a.csv") in str(caught.value)
 
 
-@pytest.mark.parametrize("row", ["", "x,1,2,3", "1,1", "1,1,2,x", "1,,2,3", ",1,2,3", "1,2,3,4,5"])
+@pytest.mark.parametrize("row", ["", "x,1,2,3", "1,1", "1,1,2,x", ",1,2,3", "1,2,3,4,5"])
 def test_rows_that_cannot_be_read_are_counted(tmp_path: Path, row: str):
     episode = read(tmp_path, f"t,x,y,z\n0,1,2,3\n{row}\n2,4,5,6\n")
     assert len(episode.signals["track"].values) == 2
     assert any("1 of 3 rows" in loss for loss in episode.losses) == bool(row)
     assert episode.warnings[: len(episode.losses)] == episode.losses
+
+
+@pytest.mark.parametrize("text", ["", "NaN", "nan", "NA", "N/A", "null", "-", " ", "#N/A"])
+def test_samples_that_are_missing_are_no_damage(tmp_path: Path, text: str):
+    episode = read(tmp_path, f"t,x,y,z\n0,1,2,3\n1,1,2,{text}\n2,4,5,6\n3,{','.join([text] * 3)}\n")
+    assert episode.signals["track"].stamps_ns.tolist() == [0, 2_000_000_000]
+    assert not episode.losses
+    assert episode.warnings[0] == "track: 1 samples without all coordinates were left out"
+
+
+def test_the_first_row_that_cannot_be_read_is_shown(tmp_path: Path):
+    rows = "".join(f"{n},1,2\n" for n in range(50))
+    (loss,) = read(tmp_path, f"by hand\n\nt,x,z\n# note\n{rows}50,1,1..5\n{rows}x,1,2\n").losses
+    assert loss.startswith("2 of 102 rows")
+    assert "(the first is line 55, column 'z': '1..5' is no number)" in loss
+
+
+def test_a_table_of_which_much_cannot_be_read_is_refused(tmp_path: Path):
+    rows = "".join(f"{n},1\n" for n in range(94))
+    assert read(tmp_path, f"t,z\n{rows}" + "94,1'050\n" * 4).losses
+    with pytest.raises(
+        LogError, match="6 of 100 rows cannot be read; the first is line 96, column"
+    ):
+        read(tmp_path, f"t,z\n{rows}" + "94,1'050\n" * 6)
+    assert read(tmp_path, f"t,z\n{rows}" + "94\n" * 60).losses  # damage leaves the rest as it is
 
 
 def test_a_quote_that_is_not_closed_costs_one_row(tmp_path: Path):
@@ -173,6 +213,82 @@ def test_disorder_and_duplicates_are_put_right(tmp_path: Path):
     assert episode.signals["track"].values[:, 2].tolist() == [1, 2, 3]
     assert any("sorted" in one for one in episode.warnings)
     assert any("already seen" in one for one in episode.warnings)
+
+
+@pytest.mark.parametrize(
+    ("text", "nanoseconds"),
+    [
+        ("2026-11-21T10:00:00.008333Z", 1_795_255_200_008_333_000),
+        ("2026-11-21 10:00:00.008333333Z", 1_795_255_200_008_333_333),
+        ("2026-11-21T11:00:00.5+01:00", 1_795_255_200_500_000_000),
+        ("2026-11-21 10:00+0000", 1_795_255_200_000_000_000),
+        ("0.008 sec", 8_000_000),
+        ("1.5 ms", 1_500_000),
+    ],
+)
+def test_times_that_say_what_they_are(tmp_path: Path, text: str, nanoseconds: int):
+    episode = read(tmp_path, f"timestamp,z\n{text},1\n")
+    assert episode.signals["track"].stamps_ns.tolist() == [nanoseconds]
+    assert not episode.warnings
+
+
+def test_a_date_without_a_zone_is_taken_as_utc(tmp_path: Path):
+    text = "".join(f"2026-11-21 10:00:{n:02},{n}\n" for n in (8, 16, 24))
+    episode = read(tmp_path, "timestamp,z\n" + text)
+    assert episode.signals["track"].stamps_ns[0] == 1_795_255_208_000_000_000
+    assert episode.warnings == ("'timestamp' names no time zone and was taken as UTC",)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "t_ms;z_mm\n8,5;1.050,00\n1.008,5;999,5\n",
+        't_ms,z_mm\n8.5,"1,050.00"\n"1,008.5",999.5\n',
+        "t_ms\tz_mm\n8,5\t1.050,00\n1.008,5\t999,5\n",
+        "t_us;z_mm\n8500;1050,00\n1.008.500;999,5\n",
+        "t_us;z_mm\n8500;1050.0\n1,008,500;999.5\n",
+    ],
+)
+def test_thousands_that_are_set_apart(tmp_path: Path, text: str):
+    signal = one(tmp_path, text)
+    assert signal.stamps_ns.tolist() == [8_500_000, 1_008_500_000]
+    np.testing.assert_allclose(signal.values[:, 2], [1.05, 0.9995])
+
+
+def test_three_decimals_are_no_thousands(tmp_path: Path):
+    assert one(tmp_path, "t;z\n0,5;1,050\n1,125;2,000\n").values[:, 2].tolist() == [1.05, 2]
+    assert one(tmp_path, "t;z\n0.5;1.050\n1.125;2.000\n").values[:, 2].tolist() == [1.05, 2]
+    assert one(tmp_path, "t,z\n0,1.050\n1,2.000\n").values[:, 2].tolist() == [1.05, 2]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "time,x,y,z\ns,mm,mm,mm\n0.5,1000,2000,3000\n1,4000,5000,6500\n",
+        "t,x,y,z\n# a note\n\n(ms),[mm],(cm),m\n500,1000,200,3\n1000,4000,500,6.5\n",
+        "# t x y z\n# s mm mm mm\n0.5 1000 2000 3000\n1 4000 5000 6500\n",
+        "n,t_s,x_mm,y (mm),z\n-,s,mm,millimeters,mm\n1,0.5,1000,2000,3000\n2,1,4000,5000,6500\n",
+        "secs,nsecs,x,y,z\ns,ns,,,m\n0,500000000,1,2,3\n1,0,4,5,6.5\n",
+        "Length Units,Millimeters\n\nt,x,y,z_m\n0.5,1000,2000,3\n1,4000,5000,6.5\n",
+        '"Start Time","9","Length Units","Centimeters"\nt,x,y,z\n0.5,100,200,300\n1,400,500,650\n',
+        "# units: mm\n# t,x,y,z\n0.5,1000,2000,3000\n1,4000,5000,6500\n",
+        "Length Units,Meters\nt,x,y,z\ns,mm,mm,mm\n0.5,1000,2000,3000\n1,4000,5000,6500\n",
+    ],
+)
+def test_units_beside_the_names(tmp_path: Path, text: str):
+    episode = read(tmp_path, text)
+    signal = episode.signals["track"]
+    assert signal.stamps_ns.tolist() == [500_000_000, 1_000_000_000]
+    np.testing.assert_allclose(signal.values, XYZ, rtol=1e-15)
+    assert not episode.losses
+
+
+def test_units_of_joints_below_their_names(tmp_path: Path):
+    text = "t,elbow_effort,elbow_position,lift_position\ns,N·m,°,mm\n0,1,180,5\n"
+    episode = read(tmp_path, text)
+    assert episode.signals["joints.effort"].values.tolist() == [[1]]
+    np.testing.assert_allclose(episode.signals["joints.position"].values, [[np.pi]])
+    assert any("unit" in (one.skipped or "") for one in episode.channels)
 
 
 def test_times_before_zero_begin_at_zero(tmp_path: Path):
@@ -232,16 +348,26 @@ def test_sizes_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     episode = read(tmp_path, "t,z\n0,1\n" + "1" * (3 * 2**20) + "\n1,2\n")
     assert len(episode.signals["track"].values) == 2
     assert any("1 of 3 rows" in loss for loss in episode.losses)
-    with pytest.raises(LogError, match="names a column"):
+    with pytest.raises(
+        LogError, match="line 1 is a header of 6001 columns, over the limit of 5000"
+    ):
         read(tmp_path, "t," * 6000)
+    names = ",".join(f"column{n}" for n in range(200_000))
+    with pytest.raises(LogError, match=r"line 2 is longer than 1 MiB.* 5000 columns"):
+        read(tmp_path, f"\nt,z,{names}\n0,1\n")
     monkeypatch.setattr(lines, "_MOST_BYTES", 10)
     with pytest.raises(LogError, match="1 GiB"):
         read(tmp_path, "t,z\n0,1\n1,2\n")
 
 
 def test_what_is_no_text_is_no_table(tmp_path: Path):
-    with pytest.raises(LogError, match=r"is not an MCAP log, a table \(.csv"):
+    with pytest.raises(
+        LogError, match=r"an MCAP log, a bag \(.bag, .db3\), a table \(.csv"
+    ) as caught:
         read(tmp_path, b"\0\1\2" * 100)
+    assert "convert it" in str(caught.value)
+    with pytest.raises(LogError, match=r"\.bag, \.db3.*copy it again"):
+        read(tmp_path, b"\x89", "a.mcap")
 
 
 @settings(
@@ -251,7 +377,28 @@ def test_what_is_no_text_is_no_table(tmp_path: Path):
 def test_any_table_gives_only_our_errors(tmp_path: Path, data: st.DataObject):
     words = ["t", "x", "z", "time_ms", "sec", "nsec", "header.stamp", "effort1", "q", "u", "v", '"']
     cells = st.sampled_from(
-        [*words, "0", "1.5", "-1", "1e400", "nan", "", " ", "1,5", "#", "%", "9" * 400, "é\0", "_1"]
+        [
+            *words,
+            "0",
+            "1.5",
+            "-1",
+            "1e400",
+            "nan",
+            "",
+            " ",
+            "1,5",
+            "#",
+            "%",
+            "9" * 400,
+            "é\0",
+            "_1",
+            "mm",
+            "s",
+            "1.050",
+            "1,050.0",
+            "2026-11-21 10:00",
+            "1 s",
+        ]
     )
     header = data.draw(st.lists(st.sampled_from(words), max_size=5))
     rows = data.draw(st.lists(st.lists(cells, max_size=6), max_size=6))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from itertools import chain, islice
 from pathlib import Path
 
@@ -12,15 +12,24 @@ from numpy.typing import NDArray
 
 from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import LogError
+from tunenet_logs.formats.tables.failures import (
+    CELLS_REMEDY,
+    DAMAGED_REMEDY,
+    NUMBER_REMEDY,
+    TIME_REMEDY,
+    Failures,
+    UnreadableError,
+    unreadable,
+)
 from tunenet_logs.formats.tables.header import Table, open_table
 from tunenet_logs.formats.tables.layout import Group, Layout
-from tunenet_logs.formats.tables.lines import cells_of, number_of, plain
-from tunenet_logs.formats.tables.times import Clock, power_by_size
-from tunenet_logs.stamps import order_samples
+from tunenet_logs.formats.tables.lines import cells_of
+from tunenet_logs.formats.tables.numbers import Numbers, decimal_of
+from tunenet_logs.formats.tables.samples import Samples
+from tunenet_logs.formats.tables.times import Clock, lacks_zone, power_by_size, says_its_unit
 
-_NAN = float("nan")
 _LOOK = 100
-"""Rows by which the unit of a time without one is told."""
+"""Rows by which the unit of a time without one is told, and how numbers are written."""
 
 _SLOW_S = 0.5
 
@@ -29,7 +38,8 @@ def read_csv(path: Path) -> Episode:
     """A table as an episode: a signal for each thing that moves, and for each joints' quantity.
 
     Raises:
-        LogError: it has no header that is understood, or no row that can be read.
+        LogError: it has no header that is understood, no row that can be read, or many
+            that cannot.
     """
     try:
         table = open_table(path)
@@ -40,129 +50,111 @@ def read_csv(path: Path) -> Episode:
     return rows.episode(path)
 
 
-class _Samples:
-    """What one group of columns has delivered: flat, a table of an hour must fit."""
-
-    def __init__(self, group: Group) -> None:
-        self.group = group
-        self.columns = group.columns
-        self.stamps = array("q")
-        self.arrivals = array("q")
-        self._values = array("d")
-        self._empty = [0.0 if group.needs_all else _NAN] * len(group.columns)
-
-    def read(self, cells: Sequence[str], separator: str | None) -> list[float] | None:
-        """The values of a row; None where it has none.
-
-        Raises:
-            ValueError: what is there is no number, or is not all.
-        """
-        values = [number_of(cells[one.place], separator) for one in self.group.used]
-        missing = sum(value != value for value in values)  # noqa: PLR0124 (NaN)
-        if missing == len(values):
-            return None
-        if missing and self.group.needs_all:
-            raise ValueError("a coordinate is missing")
-        row = self._empty.copy()
-        for one, value in zip(self.group.used, values, strict=True):
-            row[one.row] = value * one.scale
-        return row
-
-    def add(self, stamp_ns: int, arrival_ns: int, row: list[float]) -> None:
-        self.stamps.append(stamp_ns)
-        self.arrivals.append(arrival_ns)
-        self._values.extend(row)
-
-    def signal(self, offset_ns: int) -> tuple[Signal, list[str]]:
-        """The signal, and what was repaired."""
-        arrivals = np.frombuffer(self.arrivals, np.int64) + offset_ns
-        stamps = np.frombuffer(self.stamps, np.int64)
-        values = np.frombuffer(self._values).reshape(-1, len(self.columns))
-        if len(arrivals) < 2:  # too few to tell whether stamps were set
-            stamps = arrivals
-        keep, stamps_ns, notes = order_samples(stamps, arrivals)
-        name = self.group.name
-        signal = Signal(name, stamps_ns, values[keep], self.columns, self.group.unit)
-        return signal, [f"{name}: {note}" for note in notes]
-
-
 class _Rows:
     """One pass over the rows of a table."""
 
     def __init__(self, table: Table) -> None:
         self._table = table
         self._layout: Layout = table.layout
-        self._samples = [_Samples(group) for group in table.layout.groups]
+        self._samples = [Samples(group, table.layout.header) for group in table.layout.groups]
+        self._numbers = Numbers(table.layout.separator)
         self._powers: dict[Clock, int] = {}
+        self._dated: dict[str, bool] = {}
         self._count = 0
-        self._bad = 0
-        self._first_bad = 0
+        self._failures = Failures()
 
     def read(self) -> None:
         """All rows; those that cannot be read are counted."""
         rows = self._cells()
         first = list(islice(rows, _LOOK))
-        self._look(first)
-        for cells in chain(first, rows):
+        self._look([cells for _, cells in first if cells and len(cells) == self._layout.width])
+        for line, cells in chain(first, rows):
             try:
                 self._add(cells)
-            except (ValueError, IndexError):
-                self._bad += 1
-                self._first_bad = self._first_bad or self._count
+            except UnreadableError as error:
+                self._failures.add(line, error)
             self._count += 1
 
-    def _cells(self) -> Iterator[list[str]]:
-        """The cells of each row; too few of one that is no row of the table."""
+    def _cells(self) -> Iterator[tuple[int, list[str] | None]]:
+        """The number of each row's line and its cells; None where it is too long."""
         separator, width = self._layout.separator, self._layout.width
-        for line in self._table.rows:
-            cells = [] if line is None else cells_of(line, separator)
-            if line is not None and (line.startswith("#") or not any(map(str.strip, cells))):
+        for number, line in self._table.rows:
+            if line is None:
+                yield number, None
                 continue
-            more = cells[width:]
-            yield cells if not any(map(str.strip, more)) else []
+            cells = cells_of(line, separator)
+            if line.startswith("#") or not any(map(str.strip, cells or [line])):
+                continue
+            if len(cells) > width and not any(map(str.strip, cells[width:])):
+                cells = cells[:width]
+            yield number, cells
 
-    def _look(self, first: list[list[str]]) -> None:
-        """Units of times that have none, and names of joints, by the first rows."""
+    def _look(self, whole: Sequence[Sequence[str]]) -> None:
+        """How numbers are written, units of times that have none, names of joints."""
+        stamps = {one.stamp for one in self._layout.groups if one.stamp is not None}
+        clocks = {self._layout.clock, *stamps}
+        used = {one.place for group in self._layout.groups for one in group.used}
+        used.update(place for clock in clocks for place in clock.places)
+        decimal = decimal_of(cells[place] for cells in whole for place in used)
         separator = self._layout.separator
-        whole = [cells for cells in first if len(cells) >= self._layout.width]
-        for clock in {self._layout.clock, *(one.stamp for one in self._layout.groups)}:
-            if clock is not None:
-                texts = [plain(cells[clock.places[0]], separator) for cells in whole]
-                power = power_by_size(texts) if clock.power is None else clock.power
-                self._powers[clock] = power
+        self._numbers = Numbers(separator, "" if decimal == separator else decimal)
+        for clock in clocks:
+            self._tell(clock, [cells[clock.places[0]] for cells in whole])
         for samples in self._samples:
             samples.columns = _named(samples.group, self._layout, whole)
 
-    def _add(self, cells: Sequence[str]) -> None:
-        """Raises ValueError or IndexError: it is no row of the table, as a whole."""
-        if len(cells) < self._layout.width:
-            raise ValueError("cells are missing")
+    def _tell(self, clock: Clock, texts: Sequence[str]) -> None:
+        """The unit of a clock, by the cells of the first rows."""
+        numbers: list[str] = []
+        for text in texts:
+            with suppress(ValueError):
+                numbers.append(self._numbers.plain(text))
+        self._powers[clock] = power_by_size(numbers) if clock.power is None else clock.power
+        if any(map(says_its_unit, numbers)):
+            self._dated[clock.name] = any(map(lacks_zone, numbers))
+
+    def _add(self, cells: Sequence[str] | None) -> None:
+        """Raises UnreadableError: it is no row of the table, as a whole."""
+        if cells is None:
+            raise UnreadableError("it is longer than any table's", DAMAGED_REMEDY)
+        if (count := len(cells)) < (width := self._layout.width):
+            raise UnreadableError(f"it has {count} of {width} cells", DAMAGED_REMEDY)
+        if count > width:
+            raise UnreadableError(f"it has {count} cells, the header {width}", CELLS_REMEDY)
+        read = [(one, one.read(cells, self._numbers)) for one in self._samples]
+        found = [(one, row) for one, row in read if row is not None]
+        if not found:
+            return
         arrival_ns = self._time(self._layout.clock, cells)
-        separator = self._layout.separator
-        read = [(one, one.read(cells, separator)) for one in self._samples]
-        whole = [
-            (one, 0 if one.group.stamp is None else self._time(one.group.stamp, cells), row)
-            for one, row in read
-            if row is not None
-        ]
-        for one, stamp_ns, row in whole:
+        stamps = (one.group.stamp for one, _ in found)
+        taken = [0 if stamp is None else self._time(stamp, cells) for stamp in stamps]
+        for stamp_ns, (one, row) in zip(taken, found, strict=True):
             one.add(stamp_ns, arrival_ns, row)
 
     def _time(self, clock: Clock, cells: Sequence[str]) -> int:
-        separator = self._layout.separator
-        texts = [plain(cells[place], separator) for place in clock.places]
-        return clock.read(texts, self._powers[clock])
+        texts: list[str] = []
+        for place in clock.places:
+            try:
+                texts.append(self._numbers.plain(cells[place]))
+            except ValueError as why:
+                name = self._layout.header[place]
+                raise unreadable(name, cells[place], why, NUMBER_REMEDY) from None
+        try:
+            return clock.read(texts, self._powers[clock])
+        except ValueError:
+            raise unreadable(clock.name, " ".join(texts), "is no time", TIME_REMEDY) from None
 
     def episode(self, path: Path) -> Episode:
         """What was read.
 
         Raises:
-            LogError: that is nothing.
+            LogError: that is nothing, or too little of it.
         """
         filled = [one for one in self._samples if one.arrivals]
         if not filled:
-            why = f"none of its {self._count} rows can be read" if self._count else "it has no row"
-            raise LogError(f"{path}: {why}; is it whole?")
+            raise LogError(f"{path}: {self._failures.nothing(self._count)}")
+        if why := self._failures.refusal(self._count):
+            raise LogError(f"{path}: {why}")
         first_ns = min(min(one.arrivals) for one in filled)
         notes = self._notes(first_ns)
         signals: dict[str, Signal] = {}
@@ -179,26 +171,26 @@ class _Rows:
             Channel(name[:200], "", "csv", none, skipped=reason)
             for name, reason in self._layout.unused.items()
         ]
-        lost = (self._lost(),) if self._bad else ()
+        lost = (self._failures.lost(self._count),) if self._failures else ()
         info = EpisodeInfo(source=f"table {path.name}")
         return Episode(info, signals, tuple(channels), (*lost, *notes), lost)
 
-    def _lost(self) -> str:
-        return (
-            f"{self._bad} of {self._count} rows could not be read and were left out "
-            f"(the first is row {self._first_bad + 1})"
-        )
-
     def _notes(self, first_ns: int) -> list[str]:
-        if first_ns >= 0:
-            return []
-        return [f"times begin at {first_ns / 1e9:.9g} s; they were moved to begin at 0"]
+        notes = [
+            f"{name!r} names no time zone and was taken as UTC"
+            for name, is_zoneless in self._dated.items()
+            if is_zoneless
+        ]
+        if first_ns < 0:
+            notes.append(f"times begin at {first_ns / 1e9:.9g} s; they were moved to begin at 0")
+        return notes
 
     def _doubts(self, signals: dict[str, Signal]) -> list[str]:
         """Times that may be in another unit than was guessed."""
         clock = self._layout.clock
         rates = [one.rate_hz for one in signals.values() if one.rate_hz]
-        if clock.power is not None or self._powers[clock] or not rates or max(rates) > 1 / _SLOW_S:
+        is_told = clock.power is not None or clock.name in self._dated or self._powers[clock]
+        if is_told or not rates or max(rates) > 1 / _SLOW_S:
             return []
         return [
             f"{clock.name!r} names no unit and was taken as seconds, {1 / max(rates):g} from row "
@@ -219,6 +211,6 @@ def _named(group: Group, layout: Layout, rows: Sequence[Sequence[str]]) -> tuple
     return named if len(set(named)) == len(named) else group.columns
 
 
-def _type(samples: _Samples) -> str:
+def _type(samples: Samples) -> str:
     columns = ", ".join(samples.columns) if len(samples.columns) <= 8 else "joints"
     return f"{columns} [{samples.group.unit}]"

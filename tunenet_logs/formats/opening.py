@@ -79,5 +79,6 @@ def _read_foreign(path: Path) -> Episode:
         return read_video(path)
     except LogError as error:
         why = str(error).removeprefix(f"{path}: ")
-        known = f"an MCAP log, a table ({', '.join(SUFFIXES)}) or a video"
-        raise LogError(f"{path}: is not {known}: it {why}") from error
+        known = f"an MCAP log, a bag (.bag, .db3), a table ({', '.join(SUFFIXES)}) or a video"
+        remedy = "convert it to one of these or, if it is one, record or copy it again"
+        raise LogError(f"{path}: is not {known}: it {why}; {remedy}") from error

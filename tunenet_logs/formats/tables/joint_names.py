@@ -5,7 +5,14 @@ from __future__ import annotations
 import math
 import re
 
-from tunenet_logs.formats.tables.meaning import JointName, JointValue, Unused, Words, lowered
+from tunenet_logs.formats.tables.meaning import (
+    LENGTHS,
+    JointName,
+    JointValue,
+    Unused,
+    Words,
+    lowered,
+)
 
 _QUANTITY = re.compile(
     r"(effort|torque|tau|position|pos|angle|theta|qdot|qd|dq|q|velocity|vel)s?(\d*)"
@@ -26,7 +33,6 @@ _UNITS: dict[Words, tuple[tuple[str, ...], float]] = {
     ("rad", "s"): (("velocity",), 1.0),
     ("deg", "s"): (("velocity",), math.pi / 180),
 }
-_LENGTHS = frozenset(("m", "cm", "mm"))
 
 
 def joint_of(words: Words) -> JointValue | JointName | Unused | None:
@@ -44,7 +50,7 @@ def joint_of(words: Words) -> JointValue | JointName | Unused | None:
     match = matches[at]
     assert match is not None
     quantity = _QUANTITIES[match[1]]
-    if quantity not in quantities or lower[-1] in _LENGTHS:
+    if quantity not in quantities or (not count and lower[-1] in LENGTHS):
         return Unused(f"its unit is not one of a joint's {quantity}; a height is called height_m")
     group, joint = _apart((*words[:at], *words[at + 1 :]))
     digits = match[2] or "".join(word for word in joint[-1:] if word.isdecimal())

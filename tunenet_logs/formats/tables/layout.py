@@ -20,7 +20,7 @@ from tunenet_logs.formats.tables.names import meaning_of
 from tunenet_logs.formats.tables.place_names import PIXELS
 from tunenet_logs.formats.tables.times import Clock
 
-_MOST_COLUMNS = 5000
+MOST_COLUMNS = 5000
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Layout:
         clock: when a row arrived, or was taken.
         names: the columns that hold the names of joints, by the joint's number.
         unused: why a column is not used, by its name.
-        width: how many columns there are.
+        header: the names of all columns, with their units.
     """
 
     separator: str | None
@@ -71,12 +71,17 @@ class Layout:
     groups: tuple[Group, ...]
     names: Mapping[str, int]
     unused: Mapping[str, str]
-    width: int
+    header: tuple[str, ...]
+
+    @property
+    def width(self) -> int:
+        """How many columns there are."""
+        return len(self.header)
 
 
 def layout_of(header: Sequence[str], separator: str | None) -> Layout | None:
     """What a header line says; None where it is none: there is no time among its names."""
-    if not 2 <= len(header) <= _MOST_COLUMNS:
+    if not 2 <= len(header) <= MOST_COLUMNS:
         return None
     meanings = [meaning_of(name) for name in header]
     clocks = _clocks(header, meanings)
@@ -94,7 +99,7 @@ def layout_of(header: Sequence[str], separator: str | None) -> Layout | None:
         *_joints(header, meanings, stamps, unused),
     ]
     names = {one.number: at for at, one in enumerate(meanings) if isinstance(one, JointName)}
-    return Layout(separator, clock, tuple(groups), names, unused, len(header))
+    return Layout(separator, clock, tuple(groups), names, unused, tuple(header))
 
 
 def _reason(header: Sequence[str], at: int, meaning: Unused) -> str:

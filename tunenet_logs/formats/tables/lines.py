@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterator
-from math import isfinite
 from pathlib import Path
 
 from tunenet_logs.errors import LogError
@@ -13,10 +12,9 @@ SUFFIXES = (".csv", ".tsv", ".txt")
 SEPARATORS = ("\t", ";", ",", None)
 """In the order in which they are tried; None is white space."""
 
+MOST_LINE = 1024**2
 _MOST_BYTES = 1024**3
-_MOST_LINE = 1024**2
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
-_NUMBERLESS = frozenset(("", "-", "null", "none", "na", "n/a"))
 
 
 def is_table(path: Path) -> bool:
@@ -45,10 +43,10 @@ def lines_of(path: Path) -> Iterator[str | None]:
     with open(path, "rb") as file:
         encoding = "utf-16" if file.read(2) in _UTF16 else "utf-8-sig"
     with open(path, encoding=encoding, errors="replace") as file:
-        while line := file.readline(_MOST_LINE):
-            whole = line.endswith("\n") or len(line) < _MOST_LINE
-            while not line.endswith("\n") and len(line) == _MOST_LINE:
-                line = file.readline(_MOST_LINE)
+        while line := file.readline(MOST_LINE):
+            whole = line.endswith("\n") or len(line) < MOST_LINE
+            while not line.endswith("\n") and len(line) == MOST_LINE:
+                line = file.readline(MOST_LINE)
             yield line.rstrip("\n") if whole else None
 
 
@@ -65,27 +63,3 @@ def cells_of(line: str, separator: str | None) -> list[str]:
         return next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
     except csv.Error:
         return []
-
-
-def plain(cell: str, separator: str | None) -> str:
-    """A number's text with a decimal point."""
-    if separator != "," and "," in cell and "." not in cell:
-        cell = cell.replace(",", ".")
-    return cell.strip()
-
-
-def number_of(cell: str, separator: str | None) -> float:
-    """A number; NaN where a cell is empty or says that there is none.
-
-    Raises:
-        ValueError: it is something else.
-    """
-    try:
-        value = float(cell)
-    except ValueError:
-        value = _from_words(plain(cell, separator))
-    return value if isfinite(value) else float("nan")
-
-
-def _from_words(text: str) -> float:
-    return float("nan") if text.lower() in _NUMBERLESS else float(text)

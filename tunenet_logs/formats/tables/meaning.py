@@ -7,6 +7,20 @@ from dataclasses import dataclass
 
 Words = tuple[str, ...]
 
+LENGTHS = {
+    **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), 1.0),
+    **dict.fromkeys(("cm", "centimeter", "centimeters", "centimetre", "centimetres"), 0.01),
+    **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "millimetres"), 0.001),
+}
+"""Units of lengths [m]."""
+POWERS = {
+    **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 0),
+    **dict.fromkeys(("ms", "msec", "msecs", "millis", "milliseconds"), -3),
+    **dict.fromkeys(("us", "usec", "usecs", "micros", "microseconds"), -6),
+    **dict.fromkeys(("ns", "nsec", "nsecs", "nanosec", "nanosecs", "nanos", "nanoseconds"), -9),
+}
+"""Units of times, as powers of ten of a second."""
+
 
 @dataclass(frozen=True)
 class Time:

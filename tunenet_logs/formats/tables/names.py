@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 from tunenet_logs.formats.tables.joint_names import joint_of
-from tunenet_logs.formats.tables.meaning import Meaning, Time, Unused, Words, lowered, words_of
+from tunenet_logs.formats.tables.meaning import (
+    POWERS,
+    Meaning,
+    Time,
+    Unused,
+    Words,
+    lowered,
+    words_of,
+)
 from tunenet_logs.formats.tables.place_names import place_of
 
-_POWERS = {
-    **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 0),
-    **dict.fromkeys(("ms", "msec", "msecs", "millis", "milliseconds"), -3),
-    **dict.fromkeys(("us", "usec", "usecs", "micros", "microseconds"), -6),
-    **dict.fromkeys(("ns", "nsec", "nsecs", "nanosec", "nanosecs", "nanos", "nanoseconds"), -9),
-}
 _TIMES = frozenset(("time", "times", "stamp", "timestamp", "elapsed", "rosbagtimestamp"))
 _NO_TIMES = frozenset(("delta", "diff", "step"))
 _SECONDS = frozenset(("sec", "secs", "second", "seconds"))
 _IN_NS = frozenset((("rosbag", "timestamp"), ("rosbagtimestamp",), ("field", "header", "stamp")))
 """What `rostopic echo -p` and its kin write in ns, however small."""
 
-_UNKNOWN = Unused("its name says no time, position (x, y, z, height) or joint torque")
+UNKNOWN = Unused("its name says no time, position (x, y, z, height) or joint torque")
 
 
 def meaning_of(name: str) -> Meaning:
@@ -30,11 +32,11 @@ def meaning_of(name: str) -> Meaning:
         found = _time(name, lowered(words)) or place_of(lowered(words)) or joint_of(words)
         if found is not None:
             return found
-    return _UNKNOWN
+    return UNKNOWN
 
 
 def _time(name: str, lower: Words) -> Time | None:
-    power = _POWERS.get(lower[-1])
+    power = POWERS.get(lower[-1])
     bare = lower if power is None else lower[:-1]
     if not bare:  # "s" is an arc's length more often
         return None if lower == ("s",) else Time(power, part=_part(lower[-1]))
@@ -49,4 +51,4 @@ def _time(name: str, lower: Words) -> Time | None:
 def _part(word: str) -> str:
     if word in _SECONDS:
         return "sec"
-    return "nanosec" if _POWERS.get(word) == -9 else ""
+    return "nanosec" if POWERS.get(word) == -9 else ""

@@ -5,13 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from tunenet_logs.formats.tables.meaning import Place, Unused
+from tunenet_logs.formats.tables.meaning import LENGTHS, Place, Unused
 
-_LENGTHS = {
-    **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), 1.0),
-    "cm": 0.01,
-    "mm": 0.001,
-}
 _PIXELS = frozenset(("px", "pix", "pixel", "pixels"))
 _AXES = {"x": 0, "y": 1, "z": 2}
 _HEIGHTS = frozenset(("height", "altitude", "elevation"))
@@ -41,7 +36,7 @@ def place_of(lower: Sequence[str]) -> Place | Unused | None:
         lower: the words in small letters.
     """
     unit, rest = "", lower
-    if len(rest) > 1 and (rest[-1] in _LENGTHS or rest[-1] in _PIXELS):
+    if len(rest) > 1 and (rest[-1] in LENGTHS or rest[-1] in _PIXELS):
         unit, rest = rest[-1], rest[:-1]
     if unit in _PIXELS:
         return PIXELS
@@ -56,7 +51,7 @@ def place_of(lower: Sequence[str]) -> Place | Unused | None:
         return Unused("it is no position")
     thing = "_".join([*(word for word in rest[:-1] if word not in _PLACES), *number])
     thing = f"track{thing}" if not thing or thing.isdecimal() else thing
-    return Place(thing, axis, _LENGTHS.get(unit, 1.0), is_height=is_height)
+    return Place(thing, axis, LENGTHS.get(unit, 1.0), is_height=is_height)
 
 
 def _numbered(words: Sequence[str]) -> tuple[Sequence[str], Sequence[str]]:

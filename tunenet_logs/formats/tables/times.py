@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from decimal import Decimal
 from statistics import median
 
+from tunenet_logs.formats.tables.meaning import POWERS
+
+_WITH_UNIT = re.compile(rf"(\S+)\s+({'|'.join(POWERS)})", re.ASCII | re.IGNORECASE)
+_DATE = re.compile(
+    r"(\d{4}-\d\d-\d\d[T ]\d\d:\d\d(?::\d\d)?)(?:[.,](\d{1,9}))?\s?(Z|[+-]\d\d(?::?\d\d)?)?",
+    re.ASCII,
+)
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _MOST_DIGITS = 60
 _MOST_NS = 2**62
 _MAGNITUDES = ((1e17, -9), (1e14, -6), (1e11, -3))
@@ -41,7 +51,10 @@ class Clock:
         """
         if len(texts) == 2:
             return exact_ns(texts[0], 0) + exact_ns(texts[1], -9)
-        return exact_ns(texts[0], power)
+        try:
+            return exact_ns(texts[0], power)
+        except ValueError:
+            return _own_ns(texts[0])
 
 
 def exact_ns(text: str, power: int) -> int:
@@ -74,3 +87,33 @@ def power_by_size(texts: Sequence[str]) -> int:
             continue
     usual = median(sizes) if sizes else 0.0
     return next((power for least, power in _MAGNITUDES if usual > least), 0)
+
+
+def says_its_unit(text: str) -> bool:
+    """Whether a text is a date and time, or a number with a unit, and not a number alone."""
+    return bool(_DATE.fullmatch(text) or _WITH_UNIT.fullmatch(text))
+
+
+def lacks_zone(text: str) -> bool:
+    """Whether a text is a date and time that does not say where."""
+    found = _DATE.fullmatch(text)
+    return found is not None and not found[3]
+
+
+def _own_ns(text: str) -> int:
+    """The time of a text that says its unit: "0.008 sec", or as ISO 8601 without a zone in UTC.
+
+    Raises:
+        ValueError: it says none, or there is no such time.
+    """
+    if own := _WITH_UNIT.fullmatch(text):
+        return exact_ns(own[1], POWERS[own[2].lower()])
+    found = _DATE.fullmatch(text)
+    if found is None:
+        raise ValueError(f"{text} is no time")
+    since = datetime.fromisoformat(found[1] + (found[3] or "Z")) - _EPOCH
+    seconds = since.days * 86400 + since.seconds
+    nanoseconds = seconds * 10**9 + int((found[2] or "").ljust(9, "0"))
+    if abs(nanoseconds) > _MOST_NS:
+        raise ValueError(f"{text} is no time")
+    return nanoseconds

@@ -1,0 +1,75 @@
+"""Rows of a table that cannot be read: where, why, and what to do about it."""
+
+from __future__ import annotations
+
+_MOST_SHARE = 0.05
+"""From which share of the rows on it is not the file that is damaged, but us who misread it."""
+
+NUMBER_REMEDY = "write numbers as 1050.25"
+TIME_REMEDY = "write times in seconds (0.008), or as 2026-11-21T10:00:00.008Z"
+CELLS_REMEDY = (
+    "give each row as many cells as the header has, with ';' between them where numbers have ','"
+)
+DAMAGED_REMEDY = "is the file whole?"
+
+
+class UnreadableError(ValueError):
+    """A row that cannot be read.
+
+    Attributes:
+        remedy: what to do about it.
+        is_damage: whether it is cut short or runs on, not written in another way.
+    """
+
+    def __init__(self, why: str, remedy: str) -> None:
+        super().__init__(why)
+        self.remedy = remedy
+        self.is_damage = remedy == DAMAGED_REMEDY
+
+
+def unreadable(column: str, cell: str, why: object, remedy: str) -> UnreadableError:
+    """A cell that cannot be read."""
+    return UnreadableError(f"column {column[:60]!r}: {cell.strip()[:60]!r} {why}", remedy)
+
+
+class Failures:
+    """All of a table's."""
+
+    def __init__(self) -> None:
+        self._first: dict[bool, tuple[int, UnreadableError]] = {}
+        self._counts = {True: 0, False: 0}
+
+    def __len__(self) -> int:
+        return sum(self._counts.values())
+
+    def add(self, line: int, error: UnreadableError) -> None:
+        """One more."""
+        self._counts[error.is_damage] += 1
+        self._first.setdefault(error.is_damage, (line, error))
+
+    def lost(self, rows: int) -> str:
+        """What to say of them where the other rows are used."""
+        line, error = min(self._first.values(), key=lambda one: one[0])
+        return (
+            f"{len(self)} of {rows} rows could not be read and were left out "
+            f"(the first is line {line}, {error})"
+        )
+
+    def refusal(self, rows: int) -> str:
+        """Why the table should not be used; "" where the rows are too few to say so."""
+        count = self._counts[False]
+        if count < 2 or count <= _MOST_SHARE * rows:
+            return ""
+        return f"{count} of {rows} rows cannot be read; {self._told(is_damage=False)}"
+
+    def nothing(self, rows: int) -> str:
+        """Why no row of a table was of use."""
+        if not rows:
+            return f"it has no row; {DAMAGED_REMEDY}"
+        if not self._first:
+            return f"none of its {rows} rows holds a value; name the columns of those that do"
+        return f"none of its {rows} rows can be read; {self._told(False not in self._first)}"
+
+    def _told(self, is_damage: bool) -> str:
+        line, error = self._first[is_damage]
+        return f"the first is line {line}, {error}; {error.remedy}"

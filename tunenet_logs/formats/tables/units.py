@@ -1,0 +1,110 @@
+"""Units that a table says beside its names: in a row of them, or in its preamble."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from tunenet_logs.formats.tables.meaning import (
+    LENGTHS,
+    POWERS,
+    JointValue,
+    Meaning,
+    Place,
+    Time,
+    lowered,
+    words_of,
+)
+from tunenet_logs.formats.tables.names import UNKNOWN, meaning_of
+
+_WORDS = frozenset(
+    (
+        *LENGTHS,
+        *POWERS,
+        *("rad", "radian", "radians", "deg", "degree", "degrees", "n", "nm", "mnm", "kn"),
+        *("px", "pix", "pixel", "pixels", "um", "km", "dm"),
+        *("ft", "feet", "foot", "in", "inch", "inches", "yd"),
+        *("min", "mins", "minute", "minutes", "h", "hr", "hour", "hours", "day", "days"),
+    )
+)
+"""Words of units, those that are not read too: a row of them is no row of numbers."""
+_NONE = frozenset(("", "-", "1"))
+_SAID = re.compile(r"\b(length[ _])?units?\b\W{1,5}(\w+)", re.IGNORECASE)
+_REMEDY = "convert it to m, cm or mm (times: s, ms, us or ns)"
+
+
+def with_row(header: Sequence[str], cells: Sequence[str]) -> list[str] | None:
+    """The names of a header with the units of a row below it; None where it is no row of units.
+
+    Raises:
+        ValueError: a unit is not known, or is not the one in the name.
+    """
+    if any(map(str.strip, cells[len(header) :])):
+        return None
+    said = {
+        at: unit
+        for at, (name, cell) in enumerate(zip(header, cells, strict=False))
+        if (unit := cell.strip(" \t()[]")) not in _NONE and _size(meaning_of(name)) is not None
+    }
+    texts = said.values()
+    if any(map(str.isdecimal, "".join(texts))) or not any(map(_is_unit, texts)):
+        return None
+    return [_named(name, said[at]) if at in said else name for at, name in enumerate(header)]
+
+
+def length_in(line: str) -> str:
+    """The unit of lengths that a line of a preamble says; "" where it says none.
+
+    Raises:
+        ValueError: it is not known.
+    """
+    for is_length, unit in _SAID.findall(line):
+        if unit.lower() in LENGTHS:
+            return unit
+        if is_length:
+            raise ValueError(f"lengths are in {unit[:40]!r}, which is not read; {_REMEDY}")
+    return ""
+
+
+def with_lengths(header: Sequence[str], unit: str) -> list[str]:
+    """The names of a header, with a unit where they are places and say none."""
+    return [
+        f"{name} ({unit})"
+        if isinstance(meaning_of(name), Place) and _without_unit(name) is None
+        else name
+        for name in header
+    ]
+
+
+def _is_unit(text: str) -> bool:
+    words = lowered(words_of(text, camel=False))
+    return bool(words) and _WORDS.issuperset(words)
+
+
+def _without_unit(name: str) -> str | None:
+    """What is left of a name without its unit; None where it has none."""
+    words = words_of(name, camel=False)
+    rest = list(words)
+    while rest and rest[-1].lower() in _WORDS:
+        rest.pop()
+    return (" ".join(rest) or "time") if len(rest) < len(words) else None
+
+
+def _named(name: str, unit: str) -> str:
+    """A column's name with its unit."""
+    rest = _without_unit(name)
+    meaning = meaning_of(f"{rest or name} ({unit})")
+    if meaning == UNKNOWN:
+        raise ValueError(f"{name[:60]!r} is in {unit[:40]!r}, which is not read; {_REMEDY}")
+    if rest is None:
+        return f"{name} ({unit})"
+    if _size(meaning) != _size(meaning_of(name)):
+        raise ValueError(f"{name[:60]!r} is said to be in {unit[:40]!r}; say one unit")
+    return name
+
+
+def _size(meaning: Meaning) -> float | None:
+    """The size of a meaning's unit; None where it has no values."""
+    if isinstance(meaning, Time):
+        return meaning.power or 0
+    return meaning.scale if isinstance(meaning, Place | JointValue) else None
