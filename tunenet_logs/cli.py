@@ -17,7 +17,7 @@ Logs of any kind: MCAP, ROS 1 and ROS 2 bags, CSV tables, videos.
   info      what recorded it, its channels with types, counts, rates and gaps, which
             of them can be used and why not the others, what is damaged
   check     is it whole: every checksum, record, message and picture
-  recover   copy what is whole of a damaged log to a new one that opens everywhere
+  recover   copy what is whole of a damaged log, as it is, to a new MCAP file
   import    bring a bag, a CSV table or a video into a log of our own format"""
 
 _EXAMPLES = """\
@@ -47,7 +47,11 @@ _CHECK_EXAMPLES = """\
 
 _RECOVER = """\
 Copy every whole message of a damaged log, as it is, to a new MCAP file with an index
-and all checksums, which opens in every reader. The log itself is never changed."""
+and all checksums, which opens in every reader of MCAP. The log itself is never
+changed. Exit code 0 if something was saved, even if something was lost; that is listed.
+
+Messages of ROS 1 stay what they are, so readers that know ROS 2 alone refuse the copy
+of a ROS 1 bag. `tunenet-logs import` makes a log of ROS 2 messages of it."""
 
 _RECOVER_EXAMPLES = """\
   tunenet-logs recover drop.mcap.active -o drop.mcap
@@ -56,7 +60,8 @@ _RECOVER_EXAMPLES = """\
 _IMPORT = """\
 Write the positions, joints and pictures of a bag, CSV table, video or log of others
 to a log of our own format. Pictures that are compressed stay as they are. What no
-task uses is left out, and named."""
+task uses is left out, and named. So are topics that get another name, for ROS or
+because two would have the same. One that is broken off leaves nothing."""
 
 _IMPORT_EXAMPLES = """\
   tunenet-logs import arm.bag                  (writes arm.mcap beside it)
@@ -151,6 +156,11 @@ def _recover(arguments: argparse.Namespace) -> int:
     print(f"{output}: {recovered.messages} messages saved from {log}")
     for line in recovered.losses:
         print(f"  lost: {line}")
+    if recovered.holds_ros1:
+        print(
+            "  note: its messages are still those of ROS 1, which readers of ROS 2 refuse; "
+            "tunenet-logs import makes a log of ROS 2 messages"
+        )
     return 0
 
 
@@ -162,6 +172,8 @@ def _import(arguments: argparse.Namespace) -> int:
     progress = Progress(quiet=arguments.quiet)
     imported = import_log(log, output, overwrite=arguments.overwrite, progress=progress)
     print(f"{output}: {imported.messages} messages from {log}")
+    for line in imported.renamed:
+        print(f"  renamed: {line}")
     for line in imported.left_out:
         print(f"  left out: {line}")
     for line in imported.warnings:

@@ -5,13 +5,21 @@ from __future__ import annotations
 import argparse
 import io
 import os
+import signal
 import sys
+import threading
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from types import FrameType
 from typing import NoReturn
 
 from tunenet_logs import __version__
 from tunenet_logs.errors import TuneNetError, UsageError
+
+
+class Terminated(KeyboardInterrupt):
+    """SIGTERM: it unwinds as Ctrl-C does, so that nothing half written is left."""
 
 
 class Parser(argparse.ArgumentParser):
@@ -39,15 +47,16 @@ def run(
     """Parse and run; a known error is one line on stderr.
 
     Returns:
-        The exit code: that of `body`, 1 or 2 for a known error, 130 for Ctrl-C.
+        The exit code: that of `body`, 1 or 2 for a known error, 130 for Ctrl-C, 143 for SIGTERM.
     """
     words = list(sys.argv[1:] if argv is None else argv)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a name that the terminal cannot show
             stream.reconfigure(errors="backslashreplace")
     try:
-        code = body(parser.parse_args(words))
-        sys.stdout.flush()
+        with _terminable():
+            code = body(parser.parse_args(words))
+            sys.stdout.flush()
         return code
     except TuneNetError as error:
         if "--debug" in words:
@@ -64,9 +73,43 @@ def run(
         print(f"{parser.prog}: {place}{error.strerror}", file=sys.stderr)
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
-    except KeyboardInterrupt:
-        print(f"{parser.prog}: interrupted", file=sys.stderr)
-        return 130
+    except KeyboardInterrupt as stop:
+        word, code = ("terminated", 143) if isinstance(stop, Terminated) else ("interrupted", 130)
+        print(f"{parser.prog}: {word}", file=sys.stderr)
+        return code
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """Let SIGTERM raise where it would kill; a handler that someone else has set stays."""
+    in_main_thread = threading.current_thread() is threading.main_thread()
+    if not in_main_thread or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
+        yield
+        return
+    is_over = False
+    told = threading.excepthook
+
+    def stop(_signal: int, _frame: FrameType | None) -> None:
+        nonlocal is_over
+        if not is_over:  # a second one must not break off what the first one cleans up
+            is_over = True
+            threading.excepthook = lambda _: None  # a pool's, whose workers are gone
+            _end_workers()
+            raise Terminated
+
+    signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        threading.excepthook = told
+
+
+def _end_workers() -> None:
+    """Their pool would else do all the work that waits before it lets go of this process."""
+    pool = sys.modules.get("multiprocessing")
+    for worker in pool.active_children() if pool else ():
+        worker.terminate()
 
 
 def number(low: float, high: float, unit: str = "") -> Callable[[str], float]:
@@ -78,7 +121,7 @@ def number(low: float, high: float, unit: str = "") -> Callable[[str], float]:
         except ValueError:
             value = float("nan")
         if not low <= value <= high:
-            between = f"a number from {low:g} to {high:g}{' ' + unit if unit else ''}"
+            between = f"a number from {low:.15g} to {high:.15g}{' ' + unit if unit else ''}"
             raise argparse.ArgumentTypeError(f"{text!r} is not {between}")
         return value
 

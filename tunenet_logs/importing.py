@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from tunenet_logs.episode import Episode, Signal
+from tunenet_logs.episode import Channel, Episode, Frame, Signal
 from tunenet_logs.errors import LogError, UsageError
 from tunenet_logs.jpeg import compressed
 from tunenet_logs.progress import Progress
@@ -18,6 +18,8 @@ from tunenet_logs.writer import EpisodeWriter
 
 _JOINT_PARTS = ("position", "velocity", "effort")
 _POSITION_COLUMNS = ("x", "y", "z")
+_MOST_REASONS = 3
+"""So many losses are told where nothing was left to import."""
 
 Write = Callable[[EpisodeWriter], None]
 """Writes one message."""
@@ -30,11 +32,13 @@ class Imported:
     Attributes:
         messages: how many were written.
         left_out: channels that hold nothing that is used, with the reason.
+        renamed: what the log called otherwise than its topic is called now, and that topic.
         warnings: what was lost or is doubtful in the log that was read.
     """
 
     messages: int
     left_out: tuple[str, ...]
+    renamed: tuple[str, ...]
     warnings: tuple[str, ...]
 
 
@@ -43,7 +47,8 @@ def import_log(
 ) -> Imported:
     """Write positions, joints and pictures of a log to `output`, in the order of their stamps.
 
-    Pictures that are compressed stay as they are; bare pixels of a video become JPEG.
+    Pictures that are compressed stay as they are; bare pixels of a video become JPEG. Whatever
+    breaks it off, nothing of it is left.
 
     Raises:
         UsageError: the output is the log itself.
@@ -54,45 +59,99 @@ def import_log(
     if output.exists() and path.exists() and output.samefile(path):
         raise UsageError(f"{output}: is the log itself, which is never changed; choose another -o")
     episode = read_episode(path)
-    streams = [*_signal_streams(episode), *_picture_streams(episode)]
+    topics = _Topics({*episode.signals, *episode.picture_topics, *_joint_topics(episode)})
+    streams = [*_signal_streams(episode, topics), *_picture_streams(episode, topics)]
     if not streams:
-        seen = ", ".join(f"{one.topic} ({one.type_name})" for one in episode.channels) or "none"
-        raise LogError(f"{path}: holds no positions, joints or pictures; channels: {seen}")
+        raise LogError(_why_nothing(path, episode))
     notes = {**episode.info.notes, "imported_from": path.name}
     source = episode.info.source or path.name
     info = replace(episode.info, source=source, notes=notes)
     total = sum(one.messages for one in episode.channels if one.skipped is None)
     with (
-        EpisodeWriter(output, info, overwrite=overwrite, live=False) as writer,
+        EpisodeWriter(output, info, overwrite=overwrite, live=False, is_import=True) as writer,
         (progress or Progress(quiet=True)).bar(total, "importing", "message") as bar,
     ):
         for _, _, write in heapq.merge(*streams, key=lambda one: one[:2]):
             write(writer)
             bar.update(1)
+        if not writer.accepted:
+            raise LogError(_why_nothing(path, episode))
     left_out = [f"{one.topic}: {one.skipped}" for one in episode.channels if one.skipped]
-    return Imported(writer.written, tuple(left_out), episode.warnings)
+    return Imported(writer.written, tuple(left_out), tuple(topics.renamed), episode.warnings)
 
 
 def ros_topic(name: str) -> str:
     """A signal's name as a topic that ROS takes: "/tf.ball" is "/tf/ball"."""
-    words = "".join(one if one.isalnum() or one in "_/" else "/" for one in name)
-    return "/" + "/".join(word for word in words.split("/") if word)
+    letters = "".join(one if one.isalnum() or one in "_/" else "/" for one in name)
+    words = [word for word in letters.split("/") if word]
+    return "/" + "/".join(words or ["unnamed"])
 
 
-def _signal_streams(episode: Episode) -> Iterator[Iterator[tuple[int, str, Write]]]:
+class _Topics:
+    """Topics for what a log names; each thing has one of its own.
+
+    A name that is a topic already keeps it; others that come to the same get a number.
+
+    Args:
+        names: all that the log has.
+
+    Attributes:
+        renamed: names that became another topic, with that topic.
+    """
+
+    def __init__(self, names: Iterable[str]) -> None:
+        self.renamed: list[str] = []
+        self._kept = {one for one in names if ros_topic(one) == one}
+        self._taken: set[str] = set()
+        self._numbers: dict[str, int] = {}
+
+    def claim(self, name: str) -> str:
+        """A topic for one more thing of that name."""
+        topic = wanted = ros_topic(name)
+        while topic in self._taken or (topic in self._kept and topic != name):
+            self._numbers[wanted] = number = self._numbers.get(wanted, 1) + 1
+            topic = f"{wanted}_{number}"
+        self._taken.add(topic)
+        if topic != name:
+            self.renamed.append(f"{name!r} is {topic}")
+        return topic
+
+
+def _why_nothing(path: Path, episode: Episode) -> str:
+    """That nothing can be imported, with what each channel is and what the reader said."""
+    seen = ", ".join(map(_described, episode.channels)) or "none"
+    is_told = any(one.skipped for one in episode.channels)
+    said = "; ".join((episode.losses or (() if is_told else episode.warnings))[:_MOST_REASONS])
+    why = f" that can be used ({said})" if said else ""
+    return f"{path}: holds no positions, joints or pictures{why}; channels: {seen}"
+
+
+def _described(channel: Channel) -> str:
+    reason = f": {channel.skipped}" if channel.skipped else ""
+    return f"{channel.topic} ({channel.type_name}{reason})"
+
+
+def _signal_streams(
+    episode: Episode, topics: _Topics
+) -> Iterator[Iterator[tuple[int, str, Write]]]:
+    for name, signal in episode.signals.items():
+        if signal.columns == _POSITION_COLUMNS and signal.unit == "m":
+            yield _poses(topics.claim(name), signal)
+    for topic, parts in _joint_topics(episode).items():
+        yield _joint_states(topics.claim(topic), parts)
+
+
+def _joint_topics(episode: Episode) -> dict[str, dict[str, Signal]]:
+    """The parts of what each topic says of joints."""
     joints: dict[str, dict[str, Signal]] = {}
     for name, signal in episode.signals.items():
         topic, _, part = name.rpartition(".")
         if part in _JOINT_PARTS and signal.columns != _POSITION_COLUMNS:
             joints.setdefault(topic, {})[part] = signal
-        elif signal.columns == _POSITION_COLUMNS and signal.unit == "m":
-            yield _poses(signal)
-    for topic, parts in joints.items():
-        yield _joint_states(topic, parts)
+    return joints
 
 
-def _poses(signal: Signal) -> Iterator[tuple[int, str, Write]]:
-    topic = ros_topic(signal.name)
+def _poses(topic: str, signal: Signal) -> Iterator[tuple[int, str, Write]]:
     for stamp_ns, place in zip(signal.stamps_ns.tolist(), signal.values, strict=True):
 
         def write(writer: EpisodeWriter, stamp: int = stamp_ns, at: np.ndarray = place) -> None:
@@ -104,28 +163,33 @@ def _poses(signal: Signal) -> Iterator[tuple[int, str, Write]]:
 def _joint_states(topic: str, parts: dict[str, Signal]) -> Iterator[tuple[int, str, Write]]:
     """The parts of one topic have the same stamps: they came in the same messages."""
     first = next(iter(parts.values()))
-    target = ros_topic(topic)
     for row, stamp_ns in enumerate(first.stamps_ns.tolist()):
 
         def write(writer: EpisodeWriter, stamp: int = stamp_ns, row: int = row) -> None:
             values = [parts[one].values[row] if one in parts else () for one in _JOINT_PARTS]
-            writer.write_joints(target, stamp, first.columns, *values)
+            writer.write_joints(topic, stamp, first.columns, *values)
 
-        yield stamp_ns, target, write
-
-
-def _picture_streams(episode: Episode) -> Iterator[Iterator[tuple[int, str, Write]]]:
-    for topic in episode.picture_topics:
-        yield _pictures(episode, topic)
+        yield stamp_ns, topic, write
 
 
-def _pictures(episode: Episode, topic: str) -> Iterator[tuple[int, str, Write]]:
+def _picture_streams(
+    episode: Episode, topics: _Topics
+) -> Iterator[Iterator[tuple[int, str, Write]]]:
+    for topic in dict.fromkeys(episode.picture_topics):
+        yield _pictures(episode, topic, topics)
+
+
+def _pictures(episode: Episode, topic: str, topics: _Topics) -> Iterator[tuple[int, str, Write]]:
+    """The pictures of one topic; bare and compressed ones are messages of two types."""
     encodings = {one.topic: one.encoding for one in episode.channels}
-    target = ros_topic(topic)
+    targets: dict[bool, str] = {}
     for frame in episode.frames(topic):
         kept = compressed(frame) if encodings[topic] == "video" else frame
+        is_bare = kept.size is not None
+        if is_bare not in targets:
+            targets[is_bare] = topics.claim(topic)
 
-        def write(writer: EpisodeWriter, one=kept) -> None:  # noqa: ANN001 (a Frame)
+        def write(writer: EpisodeWriter, target: str = targets[is_bare], one: Frame = kept) -> None:
             writer.write_frame(target, one)
 
-        yield frame.stamp_ns, target, write
+        yield frame.stamp_ns, targets[is_bare], write

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,10 +20,12 @@ from tunenet_logs.formats.base import (
     RawChannel,
     RawMessage,
     RawMetadata,
+    Record,
 )
 from tunenet_logs.formats.opening import opened
 from tunenet_logs.formats.ros import ros_name
 from tunenet_logs.messages import INFO_RECORD
+from tunenet_logs.output.log_place import not_writable
 
 RECOVERY_RECORD = "tunenet/recovery"
 _PARTIAL = ".partial"
@@ -38,10 +40,12 @@ class Recovered:
     Attributes:
         messages: how many were saved.
         losses: what was not, in words.
+        holds_ros1: whether there are messages of ROS 1 among them, which stay what they are.
     """
 
     messages: int
     losses: tuple[str, ...]
+    holds_ros1: bool = False
 
 
 def recover(path: Path, output: Path, *, overwrite: bool = False) -> Recovered:
@@ -69,8 +73,7 @@ def recover(path: Path, output: Path, *, overwrite: bool = False) -> Recovered:
             raise LogError(f"{path}: holds no message that can be saved{why}")
         partial.replace(output)
     except OSError as error:
-        place = error.filename or output
-        raise LogError(f"{place}: cannot be read or written ({error.strerror})") from error
+        raise not_writable(output, error) from error
     finally:
         with suppress(OSError):
             partial.unlink(missing_ok=True)
@@ -86,6 +89,15 @@ def _check_output(path: Path, output: Path, *, overwrite: bool) -> None:
         raise UsageError(f"{output}: exists; choose another name with -o, or pass --overwrite")
 
 
+def _records(path: Path, container: Container, losses: list[Loss]) -> Iterator[Record]:
+    """What is read, so that a disk that cannot be read is not taken for one that is written."""
+    try:
+        yield from container(path, losses)
+    except OSError as error:
+        why = f"cannot be read ({error.strerror})"
+        raise LogError(f"{path}: {why}; copy it to another disk and recover the copy") from error
+
+
 class _Copy:
     """From the records of a container to a writer."""
 
@@ -97,11 +109,12 @@ class _Copy:
         self._info: Mapping[str, str] = {}
         self._messages = 0
         self._beyond = 0
+        self._holds_ros1 = False
         self._started = False
 
     def of(self, path: Path, container: Container) -> Recovered:
         losses: list[Loss] = []
-        for record in container(path, losses):
+        for record in _records(path, container, losses):
             if isinstance(record, RawChannel):
                 self._start(_PROFILES.get(record.encoding, ""))
                 self._register(record)
@@ -123,7 +136,7 @@ class _Copy:
             lost.append(f"{self._beyond} messages with impossible stamps were left out")
         self._say(lost)
         self._writer.finish()
-        return Recovered(self._messages, tuple(lost))
+        return Recovered(self._messages, tuple(lost), self._holds_ros1)
 
     def _start(self, profile: str) -> None:
         if not self._started:
@@ -156,6 +169,7 @@ class _Copy:
             message.sequence,
         )
         self._messages += 1
+        self._holds_ros1 |= message.channel.encoding == "ros1"
 
     def _say(self, lost: list[str]) -> None:
         """What happened to the log; and its own counts, where its recorder never came to that."""

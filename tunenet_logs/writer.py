@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -18,13 +17,12 @@ from tunenet_logs.clock import now_ns
 from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.errors import LogError
 from tunenet_logs.messages import INFO_RECORD
-from tunenet_logs.output.log_place import LogPlace
+from tunenet_logs.output.log_place import NO_SPACE, LogPlace, not_writable
 from tunenet_logs.output.mcap_output import McapOutput
 from tunenet_logs.output.whole_file import WholeFile
 
 _CHUNK_SECONDS = 0.1
 _SYNC_SECONDS = 1.0
-_NO_SPACE = (errno.ENOSPC, errno.EDQUOT)
 
 
 class EpisodeWriter:
@@ -43,6 +41,7 @@ class EpisodeWriter:
             chunks are closed by the clock, for which `tick` is to be called when nothing comes;
             else by their size alone, so that the same episode gives the same bytes.
         min_free_bytes: what is to stay free on the disk; 0 for no such bound.
+        is_import: made from a log that is still there: whatever breaks it off, nothing is left.
 
     Attributes:
         accepted: messages handed over.
@@ -61,6 +60,7 @@ class EpisodeWriter:
         overwrite: bool = False,
         live: bool = True,
         min_free_bytes: int = 0,
+        is_import: bool = False,
     ) -> None:
         self._place = LogPlace(path, overwrite=overwrite, min_free_bytes=min_free_bytes)
         self.path = path
@@ -69,6 +69,7 @@ class EpisodeWriter:
         self.accepted = 0
         self.tally: Callable[[], Mapping[str, int]] = dict
         self._live = live
+        self._is_import = is_import
         self._channels: dict[str, _Channel] = {}
         self._schemas: dict[str, int] = {}
         now = time.monotonic()
@@ -77,13 +78,13 @@ class EpisodeWriter:
         try:
             self._file = WholeFile(self.active_path)
         except OSError as error:
-            raise LogError(f"{self.active_path}: cannot be written ({error.strerror})") from error
+            raise not_writable(path, error) from error
         try:
             self._output = McapOutput(self._file, "ros2", f"tunenet-logs {__version__}")
             self._output.add_metadata(INFO_RECORD, info.to_strings())
         except OSError as error:
             self.discard()
-            raise LogError(f"{path}: cannot be written ({error.strerror})") from error
+            raise not_writable(path, error) from error
 
     def write_pose(self, topic: str, stamp_ns: int, position_m: NDArray[np.float64]) -> None:
         """Write a PoseStamped in frame "world" [m]."""
@@ -195,10 +196,10 @@ class EpisodeWriter:
             self._break_off(error)
         self._file.close()
         if not self._place.give_name(is_cut=False):
-            raise LogError(
-                f"{self.path}: exists by now, or cannot be written; the log is whole in "
-                f"{self.active_path.name}"
-            )
+            why = f"{self.path}: exists by now, or cannot be written"
+            if self._is_import:
+                raise LogError(f"{why}; nothing is left of the import; choose another name with -o")
+            raise LogError(f"{why}; the log is whole in {self.active_path.name}")
 
     def __enter__(self) -> Self:
         return self
@@ -209,7 +210,14 @@ class EpisodeWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self.close("" if kind is None else f"broke off ({kind.__name__})")
+        if not self._is_import:
+            self.close("" if kind is None else f"broke off ({kind.__name__})")
+            return
+        try:
+            if kind is None:
+                self.close()
+        finally:
+            self.discard()  # nothing is there where it was closed well
 
     def _register(self, topic: str, type_name: str) -> _Channel:
         if topic in self._channels:
@@ -241,12 +249,18 @@ class EpisodeWriter:
     def _break_off(self, error: OSError) -> NoReturn:
         if self._file.is_closed:
             raise LogError(f"{self.path}: the recording is over") from error
-        is_full = error.errno in _NO_SPACE
-        remedy = "free some space and record again" if is_full else "record to another disk"
+        verb = "import" if self._is_import else "record"
+        is_full = error.errno in NO_SPACE
+        remedy = f"free some space and {verb} again" if is_full else f"{verb} to another disk"
         self._end_early(f"writing failed ({error.strerror})", remedy, error)
 
     def _end_early(self, why: str, remedy: str, cause: OSError | None = None) -> NoReturn:
         """End the log with what is in it, and say what is kept and where."""
+        if self._is_import:
+            self.discard()
+            raise LogError(
+                f"{self.path}: {why}; nothing is left of the import; {remedy}"
+            ) from cause
         is_whole = self._output.is_ended or self._output.end_as_fits(
             INFO_RECORD, self._final_info(why)
         )

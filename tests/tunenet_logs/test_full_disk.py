@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from mcap.reader import NonSeekingReader, make_reader
 
-from tests.conftest import Command, files_no_larger_than
+from tests.conftest import Command, files_no_larger_than, record
 from tunenet_logs.episode import EpisodeInfo
 from tunenet_logs.errors import LogError
 from tunenet_logs.reader import read_episode
@@ -176,6 +176,22 @@ def test_too_little_space_ends_it_whole(small_disk: Path):
     assert not (small_disk / "b.mcap.active").exists()
 
 
+@pytest.mark.parametrize("verb", ["import", "recover"])
+@pytest.mark.parametrize("taken", [1_040_000, 1_048_576])
+def test_a_copy_on_a_small_disk_leaves_nothing_and_says_what_to_do(
+    command: Command, small_disk: Path, tmp_path: Path, verb: str, taken: int
+):
+    record(tmp_path / "a.mcap", restitution=0.7, height_m=1.0, seconds=8.0, noise_m=0.001)
+    (small_disk / "other").write_bytes(bytes(taken))
+    result = command("tunenet-logs", verb, "a.mcap", "-o", "disk/b.mcap", cwd=tmp_path)
+    assert result.returncode == 1
+    assert result.stderr.startswith("tunenet-logs: disk/b.mcap: ")
+    assert "(No space left on device); " in result.stderr
+    assert "free some space" in result.stderr
+    assert "record again" not in result.stderr
+    assert [one.name for one in small_disk.iterdir()] == ["other"]
+
+
 @pytest.mark.parametrize("source", [("--simulate", "drop"), ("--camera", "a.mp4")])
 def test_a_recording_does_not_start_on_a_disk_that_is_nearly_full(
     command: Command, tmp_path: Path, source: tuple[str, str]
@@ -187,7 +203,7 @@ def test_a_recording_does_not_start_on_a_disk_that_is_nearly_full(
     result = command("tunenet-record", *words, cwd=tmp_path)
     assert result.returncode == 1
     assert result.stderr.count("\n") == 1
-    assert "MB are to stay free" in result.stderr
+    assert " GB left and 1000000 GB are to stay free" in result.stderr
     assert "--min-free" in result.stderr
     assert [one.name for one in tmp_path.iterdir()] == ["a.mp4"]
     allowed = command("tunenet-record", *source, "--min-free", 0, "-o", "a.mcap", cwd=tmp_path)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +13,13 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
 
-from tests.conftest import BIN, Command, record
+from tests import strangers
+from tests.conftest import BIN, Command, files_no_larger_than, record
 from tests.strangers import without_chunks
 from tunenet_logs.errors import LogError, UsageError
+from tunenet_logs.formats.base import Loss, Record
+from tunenet_logs.formats.mcap_container import read_mcap
+from tunenet_logs.importing import import_log
 from tunenet_logs.reader import read_episode
 from tunenet_logs.recovery import recover
 
@@ -152,3 +158,49 @@ def test_the_command(command: Command, long: Path, tmp_path: Path):
     assert "messages saved from cut.mcap" in result.stdout
     assert "lost: the end of the file is missing" in result.stdout
     assert command("tunenet-logs", "check", "saved.mcap", cwd=tmp_path).returncode == 0
+
+
+def test_the_messages_of_a_ros_1_bag_stay_and_that_is_said(command: Command, tmp_path: Path):
+    strangers.write_poses_bag(tmp_path / "a.bag", *strangers.Stranger(0.6).samples())
+    assert recover(tmp_path / "a.bag", tmp_path / "saved.mcap").holds_ros1
+    result = command("tunenet-logs", "recover", "a.bag", "-o", "again.mcap", cwd=tmp_path)
+    assert result.returncode == 0
+    assert "still those of ROS 1" in result.stdout
+    assert "tunenet-logs import" in result.stdout
+    with pytest.raises(Exception, match="ros2"), AnyReader([tmp_path / "again.mcap"]):
+        pass
+    import_log(tmp_path / "again.mcap", tmp_path / "imported.mcap")
+    with AnyReader([tmp_path / "imported.mcap"]) as bag:
+        assert bag.message_count == len(strangers.Stranger(0.6).samples()[0])
+
+
+def test_the_help_says_what_to_expect(command: Command):
+    said = " ".join(command("tunenet-logs", "recover", "--help").stdout.split())
+    assert "Exit code 0 if something was saved, even if something was lost" in said
+    assert "Messages of ROS 1 stay what they are" in said
+
+
+@pytest.mark.parametrize("limit", [10, 20_000])
+def test_a_disk_that_is_full_is_told_from_one_that_cannot_be_read(
+    long: Path, tmp_path: Path, limit: int
+):
+    with files_no_larger_than(limit), pytest.raises(LogError) as caught:
+        recover(long, tmp_path / "b.mcap")
+    why = "cannot be written (File too large); choose another place with -o"
+    assert str(caught.value) == f"{tmp_path / 'b.mcap'}: {why}"
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_disk_that_cannot_be_read_is_told_from_one_that_is_full(
+    long: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    def failing(path: Path, losses: list[Loss]) -> Iterator[Record]:
+        records = read_mcap(path, losses)
+        yield from (next(records) for _ in range(20))
+        raise OSError(errno.EIO, "Input/output error", str(path))
+
+    monkeypatch.setattr("tunenet_logs.recovery.opened", lambda _path: failing)
+    with pytest.raises(LogError) as caught:
+        recover(long, tmp_path / "b.mcap")
+    assert str(caught.value).startswith(f"{long}: cannot be read (Input/output error); copy it")
+    assert not list(tmp_path.iterdir())

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import errno
 import os
 import signal
 import subprocess
@@ -15,10 +17,11 @@ import pytest
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
-from tests.conftest import BIN
+from tests.conftest import BIN, Command
 from tunenet_logs.clock import now_ns, wall_ns
 from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.errors import LogError
+from tunenet_logs.output.log_place import LogPlace
 from tunenet_logs.reader import read_episode
 from tunenet_logs.writer import EpisodeWriter
 
@@ -185,9 +188,82 @@ def test_does_not_touch_what_a_killed_recording_left(tmp_path: Path):
     assert (tmp_path / "a.mcap.active").read_bytes() == b"the only copy"
 
 
-def test_a_folder_that_cannot_be_written_to_is_one_clear_error(tmp_path: Path):
-    with pytest.raises(LogError, match="cannot be written"):
-        EpisodeWriter(tmp_path / "missing" / "a.mcap", INFO)
+ELSEWHERE = "choose another place with -o"
+
+
+@pytest.mark.parametrize(
+    ("number", "why"),
+    [
+        (errno.ENOENT, f"FOLDER: no such folder; make it first, or {ELSEWHERE}"),
+        (errno.ENOTDIR, f"FOLDER: is no folder; {ELSEWHERE}"),
+        (errno.EACCES, f"PATH: its folder cannot be written to (Permission denied); {ELSEWHERE}"),
+        (
+            errno.EROFS,
+            f"PATH: its folder cannot be written to (Read-only file system); {ELSEWHERE}",
+        ),
+        (
+            errno.ENOSPC,
+            f"PATH: cannot be written (No space left on device); free some space, or {ELSEWHERE}",
+        ),
+        (errno.EIO, f"PATH: cannot be written (Input/output error); {ELSEWHERE}"),
+    ],
+)
+def test_what_cannot_be_written_is_named_as_it_was_given_with_a_remedy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, why: str
+):
+    def refuse(path: Path) -> None:
+        raise OSError(number, os.strerror(number), str(path))
+
+    monkeypatch.setattr("tunenet_logs.writer.WholeFile", refuse)
+    with pytest.raises(LogError) as caught:
+        EpisodeWriter(tmp_path / "a.mcap", INFO)
+    path = str(tmp_path / "a.mcap")
+    assert str(caught.value) == why.replace("FOLDER", str(tmp_path)).replace("PATH", path)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("tunenet-record", "--simulate", "drop"),
+        ("tunenet-logs", "import", "drop.mcap"),
+        ("tunenet-logs", "recover", "drop.mcap"),
+    ],
+)
+def test_every_command_names_the_folder_that_is_missing(
+    command: Command, drop_log: Path, words: tuple[str, ...]
+):
+    result = command(*words, "-o", "no/where/a.mcap", cwd=drop_log.parent)
+    assert result.returncode == 1
+    missing = f"no/where: no such folder; make it first, or {ELSEWHERE}"
+    assert result.stderr == f"{words[0]}: {missing}\n"
+    file = command(*words, "-o", "drop.mcap/a.mcap", cwd=drop_log.parent)
+    assert file.stderr == f"{words[0]}: drop.mcap: is no folder; {ELSEWHERE}\n"
+    assert [one.name for one in drop_log.parent.iterdir()] == ["drop.mcap"]
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write to every folder")
+@pytest.mark.parametrize("mode", [0o555, 0o000])
+def test_a_folder_that_is_read_only_is_told(tmp_path: Path, mode: int):
+    (tmp_path / "locked").mkdir(mode)
+    with pytest.raises(LogError, match="its folder cannot be written to"):
+        EpisodeWriter(tmp_path / "locked" / "a.mcap", INFO)
+    (tmp_path / "locked").chmod(0o755)
+
+
+@pytest.mark.parametrize(
+    ("bound_mb", "words"),
+    [
+        (0.5, "the disk has 0 MB left and 1 MB are"),
+        (9999, "the disk has 0 MB left and 9999 MB are"),
+        (99_999_999, "the disk has 0 GB left and 100000 GB are"),
+        (10_500, "the disk has 0 GB left and 11 GB are"),
+    ],
+)
+def test_space_is_told_in_whole_numbers(tmp_path: Path, bound_mb: float, words: str):
+    place = LogPlace(tmp_path / "a.mcap", overwrite=False, min_free_bytes=0)
+    bounded = copy.copy(place)
+    bounded.__dict__["_min_free_bytes"] = int(bound_mb * 1e6)
+    assert bounded.why_too_full(1000).startswith(words)
 
 
 RECORDER = """

@@ -1,0 +1,158 @@
+"""What all commands do about signals and numbers, in real processes."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import BIN, record
+from tunenet_logs.commandline import Parser, run
+from tunenet_logs.reader import read_episode
+
+SLEEPER = """
+import sys, time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from tunenet_logs.commandline import Parser, run
+
+def body(_):
+    try:
+        print("ready", flush=True)
+        work()
+    finally:
+        time.sleep(0.3)  # what is cleaned up is not broken off by a second signal
+        Path("cleaned").touch()
+
+def work():
+    time.sleep(60)
+
+def pooled():
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+        for _ in pool.map(time.sleep, [1.0] * 60):
+            pass
+
+if __name__ == "__main__":
+    if "pool" in sys.argv:
+        work = pooled
+    sys.exit(run(Parser("it", "", ""), body, []))
+"""
+
+
+@pytest.fixture(scope="module")
+def long(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A log that takes a second to copy."""
+    path = tmp_path_factory.mktemp("long") / "long.mcap"
+    return record(path, restitution=0.8, height_m=1.0, seconds=30.0, rate_hz=2000.0)
+
+
+def start(folder: Path, *words: str) -> subprocess.Popen[str]:
+    (folder / "it.py").write_text(SLEEPER)
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])}
+    process = subprocess.Popen(
+        [sys.executable, "it.py", *words], cwd=folder, text=True, env=environment,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n"
+    return process
+
+
+@pytest.mark.parametrize(
+    ("number", "code", "word"),
+    [(signal.SIGTERM, 143, "terminated"), (signal.SIGINT, 130, "interrupted")],
+)
+def test_a_signal_unwinds_and_is_one_line(tmp_path: Path, number: int, code: int, word: str):
+    process = start(tmp_path)
+    process.send_signal(number)
+    _, err = process.communicate(timeout=20)
+    assert (process.returncode, err) == (code, f"it: {word}\n")
+    assert (tmp_path / "cleaned").exists()
+
+
+def test_a_second_sigterm_does_not_break_off_what_is_cleaned_up(tmp_path: Path):
+    process = start(tmp_path)
+    for _ in range(3):
+        process.terminate()
+        time.sleep(0.05)
+    _, err = process.communicate(timeout=20)
+    assert (process.returncode, err) == (143, "it: terminated\n")
+    assert (tmp_path / "cleaned").exists()
+
+
+@pytest.mark.parametrize("seconds", [0.0, 2.0])
+def test_processes_that_work_for_it_end_too(tmp_path: Path, seconds: float):
+    process = start(tmp_path, "pool")
+    time.sleep(seconds)
+    before = time.monotonic()
+    process.terminate()
+    _, err = process.communicate(timeout=20)  # the workers hold these pipes as well
+    assert time.monotonic() - before < 10
+    assert (process.returncode, err) == (143, "it: terminated\n")
+
+
+@pytest.mark.parametrize("verb", ["import", "recover"])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_copy_that_is_stopped_leaves_nothing(tmp_path: Path, long: Path, verb: str, number: int):
+    words = [BIN / "tunenet-logs", verb, long, "-o", tmp_path / "b.mcap"]
+    process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
+    while not list(tmp_path.iterdir()):
+        assert process.poll() is None
+        time.sleep(0.001)
+    time.sleep(0.05)
+    process.send_signal(number)
+    _, err = process.communicate(timeout=20)
+    assert process.returncode == (143 if number == signal.SIGTERM else 130)
+    assert err.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_recording_still_ends_whole(tmp_path: Path):
+    order = ["--simulate", "drop", "--rate", "5000", "--seconds", "60", "-o", "a.mcap"]
+    words = [BIN / "tunenet-record", *order]
+    process = subprocess.Popen(words, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    while not list(tmp_path.iterdir()):
+        assert process.poll() is None
+        time.sleep(0.001)
+    process.terminate()
+    _, err = process.communicate(timeout=60)
+    assert (process.returncode, err) == (0, "")
+    assert read_episode(tmp_path / "a.mcap").info.notes["ended"] == "stopped by a signal"
+
+
+def test_a_handler_of_someone_else_stays():
+    seen: list[int] = []
+
+    def mine(number: int, _frame: object) -> None:
+        seen.append(number)
+
+    def body(_arguments: object) -> int:
+        os.kill(os.getpid(), signal.SIGTERM)
+        return 0
+
+    before = signal.signal(signal.SIGTERM, mine)
+    try:
+        assert run(Parser("it", "", ""), body, []) == 0
+        assert signal.getsignal(signal.SIGTERM) is mine
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert seen == [signal.SIGTERM]
+
+
+def test_afterwards_sigterm_is_what_it_was(capsys: pytest.CaptureFixture[str]):
+    def body(_arguments: object) -> int:
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(10)
+        return 0
+
+    before = signal.getsignal(signal.SIGTERM)
+    assert before is signal.SIG_DFL
+    assert run(Parser("it", "", ""), body, []) == 143
+    assert signal.getsignal(signal.SIGTERM) is before
+    assert capsys.readouterr().err == "it: terminated\n"
