@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import traceback
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
@@ -16,6 +15,7 @@ from pathlib import Path
 from analysis.report import Row, row_of, to_json
 from analysis.review import write_review
 from analysis.tuning import Options, Tuning, tune_log
+from tunenet_logs.commandline import print_traceback
 from tunenet_logs.errors import LogError, UsageError, WeightsError
 from tunenet_logs.formats.opening import is_folder
 from tunenet_logs.output.log_place import ACTIVE_SUFFIX
@@ -93,7 +93,7 @@ def _one(log: Path, options: Options, name: Path) -> Result:
     except (UsageError, WeightsError):  # the same for every log
         raise
     except Exception as error:  # noqa: BLE001 (a defect of ours must not cost the other logs)
-        traceback.print_exc()
+        print_traceback()
         reason = f"unexpected {type(error).__name__}: {error}; please report it with the log"
         tuning = Tuning(log, options.task, options.preset, "rejected", reason)
     review = None

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from analysis.tuning import Tuning
 from recorders.simulators.engine import engine_name
+from tunenet_logs.wording import one_line
 
 
 def to_json(tuning: Tuning) -> str:
@@ -152,7 +153,7 @@ def table(rows: Sequence[Row]) -> str:
     for row, line in zip(rows, lines[1:], strict=True):
         out.append(line)
         if row.reason:
-            out.append(f"  {row.verdict}: {row.reason}")
+            out.append(one_line(f"  {row.verdict}: {row.reason}"))
         if row.estimate is not None and not row.physical:
             out.append(f"  {row.preset}: the engine's number at 60 Hz, not the ball's own")
     return "\n".join(out)
@@ -163,7 +164,7 @@ def _cells(row: Row) -> tuple[str, ...]:
         return "-" if value is None else f"{value:{form}}{unit}"
 
     return (
-        str(row.log),
+        one_line(row.log),
         row.verdict,
         figure(row.estimate),
         figure(row.cross_check),

@@ -11,6 +11,7 @@ from pathlib import Path
 from recorders.camera.options import camera_options, record_camera_as_asked
 from recorders.drop_options import drop_options, record_drop_as_asked
 from tunenet_logs.commandline import Parser, number, run, size_px
+from tunenet_logs.wording import one_line
 
 _DESCRIPTION = """\
 Record an episode to an MCAP log: a real ball that is dropped before a camera or in a
@@ -111,7 +112,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 parser.error(f"{action.option_strings[0]} does not go with {source}; leave it out")
         path = arguments.output or Path(f"drop_{datetime.now():%Y%m%d_%H%M%S}.mcap")
         recorded = (record_camera_as_asked if is_camera else record_drop_as_asked)(arguments, path)
-        print(f"{path}: {recorded}")
+        print(one_line(f"{path}: {recorded}"))
         return 0
 
     return run(parser, record, argv)

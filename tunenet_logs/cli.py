@@ -10,6 +10,7 @@ from pathlib import Path
 from tunenet_logs.commandline import Parser, run
 from tunenet_logs.errors import TuneNetError
 from tunenet_logs.progress import Progress
+from tunenet_logs.wording import one_line
 
 _DESCRIPTION = """\
 Logs of any kind: MCAP, ROS 1 and ROS 2 bags, CSV tables, videos.
@@ -115,7 +116,7 @@ def _each(logs: Sequence[Path], body: Callable[[Path], bool]) -> int:
         except TuneNetError as error:
             if len(logs) == 1:
                 raise
-            print(f"tunenet-logs: {error}", file=sys.stderr)
+            print(one_line(f"tunenet-logs: {error}"), file=sys.stderr)
             good = False
     return 0 if good else 1
 
@@ -138,11 +139,11 @@ def _check(arguments: argparse.Namespace) -> int:
         health = check(log, Progress(quiet=arguments.quiet))
         channels = health.episode.channels
         held = f"{sum(one.messages for one in channels)} messages in {len(channels)} channels"
-        print(f"{log}: {'damaged' if health.damage else 'whole'}, {held}")
+        print(one_line(f"{log}: {'damaged' if health.damage else 'whole'}, {held}"))
         for line in health.damage:
-            print(f"  damage: {line}")
+            print(one_line(f"  damage: {line}"))
         for line in health.doubts:
-            print(f"  note: {line}")
+            print(one_line(f"  note: {line}"))
         return not health.damage
 
     return _each(arguments.logs, show)
@@ -153,9 +154,9 @@ def _recover(arguments: argparse.Namespace) -> int:
 
     log, output = arguments.log, arguments.output
     recovered = recover(log, output, overwrite=arguments.overwrite)
-    print(f"{output}: {recovered.messages} messages saved from {log}")
+    print(one_line(f"{output}: {recovered.messages} messages saved from {log}"))
     for line in recovered.losses:
-        print(f"  lost: {line}")
+        print(one_line(f"  lost: {line}"))
     if recovered.holds_ros1:
         print(
             "  note: its messages are still those of ROS 1, which readers of ROS 2 refuse; "
@@ -171,13 +172,13 @@ def _import(arguments: argparse.Namespace) -> int:
     output = arguments.output or log.parent / f"{log.resolve().stem}.mcap"
     progress = Progress(quiet=arguments.quiet)
     imported = import_log(log, output, overwrite=arguments.overwrite, progress=progress)
-    print(f"{output}: {imported.messages} messages from {log}")
+    print(one_line(f"{output}: {imported.messages} messages from {log}"))
     for line in imported.renamed:
-        print(f"  renamed: {line}")
+        print(one_line(f"  renamed: {line}"))
     for line in imported.left_out:
-        print(f"  left out: {line}")
+        print(one_line(f"  left out: {line}"))
     for line in imported.warnings:
-        print(f"tunenet-logs: {log}: {line}", file=sys.stderr)
+        print(one_line(f"tunenet-logs: {log}: {line}"), file=sys.stderr)
     return 0
 
 

@@ -16,6 +16,7 @@ from typing import NoReturn
 
 from tunenet_logs import __version__
 from tunenet_logs.errors import TuneNetError, UsageError
+from tunenet_logs.wording import one_line
 
 
 class Terminated(KeyboardInterrupt):
@@ -60,17 +61,17 @@ def run(
         return code
     except TuneNetError as error:
         if "--debug" in words:
-            traceback.print_exc()
-        print(f"{parser.prog}: {error}", file=sys.stderr)
+            print_traceback()
+        print(one_line(f"{parser.prog}: {error}"), file=sys.stderr)
         return error.exit_code
     except BrokenPipeError:  # the reader of our output went away, as `head` does
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:  # a path that no file system takes, a full disk behind stdout
         if "--debug" in words:
-            traceback.print_exc()
+            print_traceback()
         place = f"{error.filename}: " if error.filename else ""
-        print(f"{parser.prog}: {place}{error.strerror}", file=sys.stderr)
+        print(one_line(f"{parser.prog}: {place}{error.strerror}"), file=sys.stderr)
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except KeyboardInterrupt as stop:
@@ -110,6 +111,14 @@ def _end_workers() -> None:
     pool = sys.modules.get("multiprocessing")
     for worker in pool.active_children() if pool else ():
         worker.terminate()
+
+
+def print_traceback() -> None:
+    """Show where the error being handled was raised, on stderr."""
+    for part in traceback.format_exception(sys.exc_info()[1]):
+        # A place in our code has lines of its own; what an error says may be anybody's words.
+        is_place = part.startswith("  File ")
+        print(part.rstrip() if is_place else one_line(part.strip()), file=sys.stderr)
 
 
 def number(low: float, high: float, unit: str = "") -> Callable[[str], float]:

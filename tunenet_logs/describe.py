@@ -10,6 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tunenet_logs.episode import Channel, Episode, EpisodeInfo
+from tunenet_logs.wording import one_line, short_name
+
+_MOST_ROWS = 100
+"""Channels that are shown, and warnings; a log of thousands is no reason to scroll."""
 
 _COLUMNS = 60
 _GAP = 3.0
@@ -23,16 +27,31 @@ def describe(path: Path, episode: Episode) -> str:
     """The log, one fact a line: its info, its damage, its channels and when they were heard."""
     lines = [f"{path}: {_size(path)} bytes{_span(episode.channels)}"]
     lines += [f"  {line}" for line in _episode_lines(episode.info)]
-    lines += [f"  warning: {warning}" for warning in episode.warnings]
-    if not episode.channels:
-        return "\n".join([*lines, "  no channels"])
+    lines += [f"  warning: {warning}" for warning in episode.warnings[:_MOST_ROWS]]
+    lines += _more(len(episode.warnings), "warnings")
+    shown = _shown(episode.channels)
+    lines += _table(shown) if shown else ["  no channels"]
+    lines += _more(len(episode.channels), "channels")
+    return "\n".join(one_line(line) for line in (*lines, *_timeline(shown)))
+
+
+def _shown(channels: Sequence[Channel]) -> Sequence[Channel]:
+    """The channels of the table: of too many, those that can be used first."""
+    if len(channels) <= _MOST_ROWS:
+        return channels
+    return sorted(channels, key=lambda one: one.skipped is not None)[:_MOST_ROWS]
+
+
+def _more(count: int, what: str) -> list[str]:
+    return [f"  and {count - _MOST_ROWS} more {what}"] if count > _MOST_ROWS else []
+
+
+def _table(channels: Sequence[Channel]) -> list[str]:
     rows = [("topic", "type", "messages", "rate", "duration", "gaps", "use")]
-    rows += [_channel_row(one) for one in episode.channels]
+    rows += [_channel_row(one) for one in channels]
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    for row in rows:
-        cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
-        lines.append("  " + "  ".join(cells).rstrip())
-    return "\n".join([*lines, *_timeline(episode.channels)])
+    cells = ([cell.ljust(width) for cell, width in zip(row, widths, strict=True)] for row in rows)
+    return ["  " + "  ".join(row).rstrip() for row in cells]
 
 
 def gaps_s(stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -75,8 +94,8 @@ def _channel_row(channel: Channel) -> tuple[str, ...]:
     rate = f"{(channel.messages - 1) / duration_s:.1f} Hz" if duration_s > 0 else "-"
     gaps = gaps_s(channel.log_ns)
     return (
-        channel.topic,
-        channel.type_name or "-",
+        short_name(channel.topic),
+        short_name(channel.type_name) or "-",
         str(channel.messages),
         rate,
         f"{duration_s:.2f} s",
@@ -94,12 +113,12 @@ def _timeline(channels: Sequence[Channel]) -> list[str]:
     span = max(float(one.log_ns.max()) for one in heard) - start
     if span <= 0:
         return []
-    width = max(len(one.topic) for one in heard)
+    width = max(len(short_name(one.topic)) for one in heard)
     lines = [f"  timeline, {span * 1e-9 / _COLUMNS:.3g} s a column:"]
     for one in heard:
         places = (one.log_ns - start) / span * _COLUMNS
         counts = np.bincount(np.minimum(places.astype(int), _COLUMNS - 1), minlength=_COLUMNS)
         usual = float(np.median(counts[counts > 0]))
         marks = ("#" if count >= usual / 2 else "." if count else " " for count in counts)
-        lines.append(f"  {one.topic.ljust(width)} |{''.join(marks)}|")
+        lines.append(f"  {short_name(one.topic).ljust(width)} |{''.join(marks)}|")
     return lines

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Protocol
 
+from tunenet_logs.wording import short_name
+
 
 class Bar(Protocol):
     """What work in progress reports to."""
@@ -42,5 +44,7 @@ class Progress:
             return
         from tqdm import tqdm
 
-        with tqdm(total=total, desc=what, unit=unit, file=sys.stderr, leave=False) as bar:
+        with tqdm(
+            total=total, desc=short_name(what), unit=unit, file=sys.stderr, leave=False
+        ) as bar:
             yield bar

@@ -11,6 +11,7 @@ from pathlib import Path
 from analysis.cli.options import jobs_option, preset_option
 from tunenet_logs.commandline import Parser, run, whole
 from tunenet_logs.errors import UsageError, WeightsError
+from tunenet_logs.wording import one_line
 
 _DESCRIPTION = """\
 Simulate pairs of episodes on all cores, train the network on them, and write its
@@ -102,7 +103,7 @@ def _train(arguments: argparse.Namespace) -> int:
     notes = {"seed": str(arguments.seed), "pairs": str(len(pairs.proposed)), "recipe": str(recipe)}
     digest = save_model(path, model, preset.purpose, notes)
     print(
-        f"{path}: {len(pairs.values)} rollouts in {simulated - start:.1f} s, "
+        f"{one_line(path)}: {len(pairs.values)} rollouts in {simulated - start:.1f} s, "
         f"{len(pairs.proposed)} pairs x {recipe.epochs} epochs in {trained - simulated:.1f} s, "
         f"{trained - start:.1f} s in all; sha256 {digest}"
     )

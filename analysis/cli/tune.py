@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from analysis.cli.options import jobs_option, preset_option
 from tunenet_logs.commandline import Parser, number, run, whole
 from tunenet_logs.errors import NotFoundError, UsageError
+from tunenet_logs.wording import listed, one_line
 
 if TYPE_CHECKING:
     from analysis.tasks.base import Selection
@@ -173,11 +174,11 @@ def _tune(arguments: argparse.Namespace) -> int:
     for row in rows:
         remarks = row.warnings if row.read else (row.reason, *row.warnings)
         for remark in remarks:
-            print(f"tunenet-tune: {row.log}: {remark}", file=sys.stderr)
+            print(one_line(f"tunenet-tune: {row.log}: {remark}"), file=sys.stderr)
     for result in results:
         if result.trouble:
-            print(f"tunenet-tune: {result.trouble}", file=sys.stderr)
-    reviews = [result.review for result in results if result.review]
+            print(one_line(f"tunenet-tune: {result.trouble}"), file=sys.stderr)
+    reviews = [one_line(result.review) for result in results if result.review]
     if reviews:
         print("\nreview: " + "\n        ".join(f"rerun {review}" for review in reviews))
     failed = any(one.row.verdict == "rejected" or one.trouble for one in results)
@@ -202,7 +203,7 @@ def _marked(log: Path, selection: Selection, progress: Progress) -> Selection:
     topic = selection.topic or next(iter(topics), None)
     if topic is None or topic not in topics:
         what = "no pictures" if selection.topic is None else f"no pictures in {selection.topic}"
-        there = f"there are some in: {', '.join(topics)}" if topics else "leave --preview out"
+        there = f"there are some in: {listed(topics)}" if topics else "leave --preview out"
         raise UsageError(f"{log}: holds {what} to mark the ball in; {there}")
     try:
         mark = mark_ball(

@@ -14,6 +14,8 @@ Parabola = tuple[float, float, float]
 
 MIN_DROP_M = 0.02
 _REST_WINDOW_S = 0.25
+_FIRST_BLOCK = 256
+"""Samples that are looked through at first: a ball rests soon, whatever the recording's length."""
 
 
 def fit_parabola(clock: Array, heights: Array, samples: Samples) -> Parabola:
@@ -105,7 +107,6 @@ def flight_samples(
     Returns:
         At least 3 of them, or none.
     """
-    straight = heights - fall[0] * clock**2
     tolerance = 4 * noise + 5e-4 * np.ptp(heights)
     landing = falling_to(float(heights[max(index - 3, 0) : index + 4].min()), fall)
     doubt_s = (clock[index] - clock[index - 1]) / 2 + 3 * noise / max(landing.fall_speed, 1e-3)
@@ -114,8 +115,9 @@ def flight_samples(
     def is_flight(stop: int) -> bool:
         if stop > len(clock):
             return False
-        line = np.polyfit(clock[begin:stop], straight[begin:stop], 1)
-        off = straight[begin:stop] - np.polyval(line, clock[begin:stop])
+        times = clock[begin:stop]
+        straight = heights[begin:stop] - fall[0] * times**2
+        off = straight - np.polyval(np.polyfit(times, straight, 1), times)
         return bool(np.abs(off).max() < tolerance)
 
     if not is_flight(begin + 3):
@@ -150,23 +152,36 @@ def rest_and_end(
     width = int(np.ceil(_REST_WINDOW_S / float(np.median(np.diff(clock))))) + 1
     if end - index - 1 < width:
         return np.arange(0), end
-    windows = np.lib.stride_tricks.sliding_window_view(heights[index + 1 : end], width)
-    highest, lowest = windows.max(axis=1), windows.min(axis=1)
-    # Near the top of a bounce a ball hardly moves either, but it curves.
-    third = width // 3
-    ends = windows[:, :third].mean(axis=1) + windows[:, -third:].mean(axis=1)
-    bend = ends - 2 * windows[:, third : width - third].mean(axis=1)
-    sag = meeting.gravity * (_REST_WINDOW_S / 3) ** 2
-    still = (highest - lowest < 0.002 * depth + 8 * noise) & (np.abs(bend) < sag / 2)
-    low = highest < contact + 0.05 * depth + 8 * noise
-    settled = np.flatnonzero(still & low)
-    if not len(settled):
+    settled = _settled(heights[index + 1 : end], width, meeting, noise)
+    if settled is None:
         return np.arange(0), end
-    begin = index + 1 + int(settled[0])
+    begin = index + 1 + settled
     level = np.median(heights[begin : begin + width])
     moved = np.flatnonzero(np.abs(heights[begin:end] - level) > 0.02 * depth + 8 * noise)
     end = begin + int(moved[0]) if len(moved) else end
     return np.arange(begin, end), end
+
+
+def _settled(after: Array, width: int, meeting: Meeting, noise: float) -> int | None:
+    """The first of the heights after an impact from which on the ball rests for `width` samples."""
+    contact, depth = meeting.contact_m, meeting.drop_height_m
+    third = width // 3
+    sag = meeting.gravity * (_REST_WINDOW_S / 3) ** 2
+    start, size = 0, _FIRST_BLOCK
+    while len(after) - start >= width:
+        block = after[start : start + size + width - 1]
+        windows = np.lib.stride_tricks.sliding_window_view(block, width)
+        highest, lowest = windows.max(axis=1), windows.min(axis=1)
+        # Near the top of a bounce a ball hardly moves either, but it curves.
+        ends = windows[:, :third].mean(axis=1) + windows[:, -third:].mean(axis=1)
+        bend = ends - 2 * windows[:, third : width - third].mean(axis=1)
+        still = (highest - lowest < 0.002 * depth + 8 * noise) & (np.abs(bend) < sag / 2)
+        low = highest < contact + 0.05 * depth + 8 * noise
+        settled = np.flatnonzero(still & low)
+        if len(settled):
+            return start + int(settled[0])
+        start, size = start + size, 2 * size
+    return None
 
 
 def rebounds(since: Array, heights: Array, meeting: Meeting, noise: float) -> bool:

@@ -18,11 +18,15 @@ from analysis.observe.film import FilmedDrop
 from analysis.review.film import film_aspect, film_view, log_film, log_recorded_film
 from analysis.review.plots import height_view, log_plots, residual_view
 from analysis.review.scene import log_scene, scene_view
-from analysis.review.sending import ITERATION, LOG_TIME, send_scalars
+from analysis.review.sending import ITERATION, LOG_TIME, entity_of, send_scalars
 from analysis.review.sheets import convergence_view, height_sheet_view, log_sheets, step_view
 from analysis.review.story import Story, story_of
 from analysis.review.words import result_words
 from analysis.tuning import Tuning
+from tunenet_logs.wording import one_line
+
+_MOST_CURVES = 150
+"""Of a log in which nothing was found: more can neither be told apart nor be loaded soon."""
 
 
 def write_review(tuning: Tuning, path: Path) -> None:
@@ -37,10 +41,10 @@ def write_review(tuning: Tuning, path: Path) -> None:
     stream = rr.RecordingStream(f"tunenet review {kind}", recording_id=identity)
     memory = stream.memory_recording()  # Rerun's own file sink only prints that a disk is full
     stream.send_recording_name(os.fsencode(tuning.log.name).decode(errors="replace"))
-    words = rr.TextDocument(result_words(tuning), media_type="text/markdown")
-    stream.log("result", words, static=True)
+    text = result_words(tuning)
     if tuning.found is None:
-        _log_recorded(stream, tuning)
+        left_out = _log_recorded(stream, tuning)
+        text += f"\n\n- {left_out} more curves are not drawn" if left_out else ""
         filmed = log_recorded_film(stream, tuning)
         stream.send_blueprint(_blueprint(_recorded_layout(filmed)))
     else:
@@ -51,19 +55,23 @@ def write_review(tuning: Tuning, path: Path) -> None:
         if tuning.found.film is not None:
             log_film(stream, tuning, story)
         stream.send_blueprint(_blueprint(_tuning_layout(story, tuning.found.film)))
+    stream.log("result", rr.TextDocument(text, media_type="text/markdown"), static=True)
     stream.flush()
     path.write_bytes(memory.drain_as_bytes())
     stream.disconnect()
 
 
-def _log_recorded(stream: rr.RecordingStream, tuning: Tuning) -> None:
-    """What was recorded, where the task found nothing in it."""
+def _log_recorded(stream: rr.RecordingStream, tuning: Tuning) -> int:
+    """What was recorded, where the task found nothing in it; how many curves are left out."""
     signals = tuning.episode.signals if tuning.episode else {}
-    for signal in signals.values():
-        for index, column in enumerate(signal.columns):
-            entity = f"recorded/{signal.name.strip('/')}/{column}"
-            stream.log(entity, rr.SeriesLines(names=[f"{signal.name} {column}"]), static=True)
-            send_scalars(stream, entity, signal.seconds, signal.values[:, index])
+    curves = [(one, index) for one in signals.values() for index in range(len(one.columns))]
+    for signal, index in curves[:_MOST_CURVES]:
+        column = signal.columns[index]
+        entity = entity_of("recorded", signal.name, column)
+        name = one_line(f"{signal.name} {column}")
+        stream.log(entity, rr.SeriesLines(names=[name]), static=True)
+        send_scalars(stream, entity, signal.seconds, signal.values[:, index])
+    return max(0, len(curves) - _MOST_CURVES)
 
 
 def _tuning_layout(story: Story, film: FilmedDrop | None) -> rrb.Container:

@@ -15,6 +15,11 @@ ITERATION = "iteration"
 """k of the tuning: what is scrubbed."""
 
 
+def entity_of(*parts: str) -> str:
+    """The path of an entity whose parts may be anything: slashes in them part them further."""
+    return rr.new_entity_path([one for part in parts for one in part.split("/") if one])
+
+
 def at_seconds(seconds: NDArray[np.float64]) -> rr.TimeColumn:
     """An index on the log's time."""
     return rr.TimeColumn(LOG_TIME, duration=seconds)

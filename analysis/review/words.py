@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from analysis.tuning import Tuning
+from tunenet_logs.wording import one_line
 
 _SHOWN = 7
 """Iterations in the table: the last ones."""
+
+_MOST_WARNINGS = 50
 
 
 def result_words(tuning: Tuning) -> str:
@@ -14,7 +17,9 @@ def result_words(tuning: Tuning) -> str:
     if tuning.estimate is not None:
         named = zip(tuning.parameters, tuning.estimate, strict=True)
         lines += [f"# {one.name} {value:.4f}" for one, value in named]
-    lines.append(f"**{tuning.verdict}**" + (f": {tuning.reason}" if tuning.reason else ""))
+    lines.append(
+        f"**{tuning.verdict}**" + (f": {one_line(tuning.reason)}" if tuning.reason else "")
+    )
     if tuning.trace is not None:
         lines.append(
             f"{tuning.method}, preset {tuning.preset}, {tuning.rollouts} rollouts"
@@ -38,5 +43,7 @@ def result_words(tuning: Tuning) -> str:
         )
     if checks:
         lines.append("\n".join(["| check | | seen |", "| --- | --- | --- |", *checks]))
-    lines += [f"- {warning}" for warning in tuning.warnings]
+    lines += [f"- {one_line(warning)}" for warning in tuning.warnings[:_MOST_WARNINGS]]
+    if len(tuning.warnings) > _MOST_WARNINGS:
+        lines.append(f"- {len(tuning.warnings) - _MOST_WARNINGS} more warnings")
     return "\n\n".join(lines)

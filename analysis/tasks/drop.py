@@ -21,6 +21,7 @@ from analysis.tasks.found_drop import FoundDrop, drop_problem
 from recorders.simulators.drop import RESTITUTION, TOPIC
 from tunenet_logs.episode import Episode, Signal
 from tunenet_logs.errors import NotFoundError
+from tunenet_logs.wording import listed
 
 Array = NDArray[np.float64]
 
@@ -95,12 +96,12 @@ def _candidates(episode: Episode, selection: Selection) -> list[Signal]:
         positions = [one for one in episode.signals_of(selection.topic) if _is_position(one)]
         if not positions:
             usable = {name for name, one in episode.signals.items() if _is_position(one)}
-            known = ", ".join(sorted({*usable, *episode.picture_topics})) or "none"
+            known = listed(sorted({*usable, *episode.picture_topics})) or "none"
             raise NotFoundError(f"no usable topic {selection.topic}; there is: {known}")
     else:
         positions = [one for one in episode.signals.values() if _is_position(one)]
     if not positions:
-        seen = ", ".join(f"{one.topic} ({one.type_name or 'no type'})" for one in episode.channels)
+        seen = listed(f"{one.topic} ({one.type_name or 'no type'})" for one in episode.channels)
         raise NotFoundError(
             f"no channel with the position of a ball or pictures of it; channels: {seen or 'none'}"
         )

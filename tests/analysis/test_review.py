@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.writer import Writer
 from rerun.chunk import RrdReader
 
 from analysis.review import write_review
@@ -81,6 +83,39 @@ def test_names_of_a_stranger_do_no_harm(tmp_path: Path):
     write_poses(tmp_path / "a.mcap", stamps, positions, topic=topic)
     write_review(tune_log(tmp_path / "a.mcap", Options()), tmp_path / "a.rrd")
     verified(tmp_path / "a.rrd")
+
+
+def test_names_of_a_stranger_are_parts_of_a_path(tmp_path: Path, capfd: pytest.CaptureFixture):
+    stamps, positions = Stranger(0.0).samples()
+    stamps, positions = stamps[:60], positions[:60]  # nothing falls yet
+    write_poses(tmp_path / "a.mcap", stamps, positions, topic="/bäll pose/\x1b[31mx//y")
+    write_review(tune_log(tmp_path / "a.mcap", Options()), tmp_path / "a.rrd")
+    assert capfd.readouterr() == ("", "")
+    assert r"/recorded/bäll\ pose/\u{001B}\[31mx/y/z" in contents(tmp_path / "a.rrd")
+
+
+def test_of_thousands_of_signals_the_first_are_drawn(tmp_path: Path):
+    write_channels(tmp_path / "a.mcap", 400)
+    tuning = tune_log(tmp_path / "a.mcap", Options())
+    assert len(tuning.episode.signals) == 400  # type: ignore[union-attr]
+    write_review(tuning, tmp_path / "a.rrd")
+    verified(tmp_path / "a.rrd")
+    recorded = [one for one in contents(tmp_path / "a.rrd") if one.startswith("/recorded/")]
+    assert len(recorded) == 150
+    assert b"1050 more curves are not drawn" in (tmp_path / "a.rrd").read_bytes()
+
+
+def write_channels(path: Path, count: int) -> None:
+    point = {"x": 0.0, "y": 0.0, "z": 1.0}
+    data = json.dumps({"timestamp": {"sec": 1, "nsec": 0}, "pose": {"position": point}}).encode()
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("foxglove.PoseInFrame", "jsonschema", b"{}")
+        for number in range(count):
+            channel = writer.register_channel(f"/ch{number}", "json", schema)
+            writer.add_message(channel, 1, data, 1)
+        writer.finish()
 
 
 def test_a_place_that_cannot_be_written_raises(tuned: Tuning):

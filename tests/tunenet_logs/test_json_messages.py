@@ -140,9 +140,9 @@ def changed(path: str, value: Any) -> dict:
         changed("timestamp.nsec", 10**9),
         changed("timestamp.nsec", -1),
         b"[" * 200_000,
-        b'{"a":' * 200_000,
-        b'{"pose":' + b"[[],[" * 100_000,
-        b'{"\\"":' * 100_000,
+        b'{"a":' * 40_000,
+        b'{"pose":' + b"[[],[" * 40_000,
+        b'{"\\"":' * 40_000,
     ],
 )
 def test_what_is_no_pose_is_counted_and_left_out(tmp_path: Path, message: Any):
@@ -164,6 +164,24 @@ def test_brackets_in_a_text_are_not_nesting():
 def test_a_large_message_is_refused_before_it_is_parsed():
     with pytest.raises(MessageError, match="limit"):
         decoder_for(channel())(bytes(17 * 2**20))
+
+
+def test_what_is_no_picture_may_be_no_larger_than_any_such_message():
+    large = changed("frame_id", "a" * 300_000)
+    with pytest.raises(MessageError, match="limit"):
+        decoder_for(channel())(json.dumps(large).encode())
+
+
+def test_a_picture_may_be_large_but_of_few_parts():
+    decode = decoder_for(channel("foxglove.CompressedImage"))
+    picture = {"timestamp": TIME, "frame_id": "a", "format": "jpeg"}
+    large = base64.b64encode(bytes(12 * 2**20)).decode()
+    assert len(decode(json.dumps(picture | {"data": large}).encode()).data) == 12 * 2**20
+    assert decode(json.dumps(picture | {"data": [7] * 1000}).encode()).data == b"\7" * 1000
+    with pytest.raises(MessageError, match="objects and lists"):
+        decode(json.dumps(picture | {"data": large, "more": [{}] * 100}).encode())
+    with pytest.raises(MessageError, match="limit"):
+        decode(json.dumps(picture | {"data": large * 3}).encode())
 
 
 def test_other_schemas_and_types_are_refused():

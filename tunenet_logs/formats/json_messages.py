@@ -17,8 +17,11 @@ from tunenet_logs.formats.kinds import STAMP_FIELDS
 from tunenet_logs.formats.shapes import Fields, Leaf, Many, Shape, shape_of
 
 _SCHEMAS = ("jsonschema", "")
-_MOST_BYTES = 16 * 1024 * 1024
-"""Of one message: three bytes of it may become an object of ninety."""
+_MOST_BYTES = 256 * 1024
+_MOST_PICTURE_BYTES = 32 * 1024 * 1024
+_MOST_PICTURE_PARTS = 100
+"""Of one message: three bytes of it may become an object of ninety, so one as large as a picture
+may have few objects and lists."""
 
 _MOST_DEPTH = 64
 _STEPS = np.zeros(256, np.int8)
@@ -32,13 +35,17 @@ def json_decoder(channel: RawChannel) -> Decode:
         raise UnusableError(
             f"schema encoding {channel.schema_encoding[:20]!r} is not read (only jsonschema)"
         )
-    return partial(_decode, shape_of(channel))
+    shape = shape_of(channel)
+    return partial(_decode, shape, Leaf.DATA in shape.fields.values())
 
 
-def _decode(shape: Fields, data: bytes | memoryview) -> Any:
-    if len(data) > _MOST_BYTES:
-        raise MessageError(f"a message of {len(data)} bytes is over the limit of {_MOST_BYTES}")
+def _decode(shape: Fields, is_picture: bool, data: bytes | memoryview) -> Any:
+    most = _MOST_PICTURE_BYTES if is_picture else _MOST_BYTES
+    if len(data) > most:
+        raise MessageError(f"a message of {len(data)} bytes is over the limit of {most}")
     raw = bytes(data)
+    if is_picture and _parts(raw) > _MOST_PICTURE_PARTS:
+        raise MessageError(f"a picture has over {_MOST_PICTURE_PARTS} objects and lists")
     if _is_deep(raw):
         raise MessageError(f"a message is nested more than {_MOST_DEPTH} deep")
     try:
@@ -51,9 +58,14 @@ def _refuse(name: str) -> NoReturn:
     raise ValueError(f"{name} is not JSON")
 
 
+def _parts(raw: bytes) -> int:
+    """Objects and lists of a message, at most."""
+    return raw.count(b"[") + raw.count(b"{")
+
+
 def _is_deep(raw: bytes) -> bool:
     """Whether brackets outside texts are nested deeper than any message; the parser recurses."""
-    if raw.count(b"[") + raw.count(b"{") <= _MOST_DEPTH:
+    if _parts(raw) <= _MOST_DEPTH:
         return False
     bare = b"".join(raw.replace(b"\\\\", b"").replace(b'\\"', b"").split(b'"')[::2])
     depths = np.cumsum(_STEPS[np.frombuffer(bare, np.uint8)], dtype=np.int32)

@@ -7,7 +7,7 @@ wrote.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any
 
 from rosbags.serde import SerdeError
@@ -49,6 +49,9 @@ _FOREIGN = {
         "uint8[] data",
     },
 }
+_MOST_SCHEMA_BYTES = 256 * 1024
+"""Of the types that are used, with all that they are made of, none has a tenth of that."""
+
 _SAME_TYPE = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
 
 
@@ -65,7 +68,7 @@ def cdr_decoder(channel: RawChannel) -> Decode:
     """For ROS 2 CDR; see `codec.Codec`."""
     name = ros_name(channel.type_name)
     if channel.schema_encoding:  # a .db3 may say no more than the type's name
-        _check_same(channel, name, _ros2_typestore(), ("ros2msg", "ros2idl"))
+        _check_same(channel, name, _ros2_typestore, ("ros2msg", "ros2idl"))
     elif name not in _ros2_typestore().types:
         raise UnusableError("its type is not known here")
     return _decoder(_ros2_typestore().deserialize_cdr, name)
@@ -74,7 +77,7 @@ def cdr_decoder(channel: RawChannel) -> Decode:
 def ros1_decoder(channel: RawChannel) -> Decode:
     """For ROS 1; see `codec.Codec`."""
     name = ros_name(channel.type_name)
-    _check_same(channel, name, _ros1_typestore(), ("ros1msg",))
+    _check_same(channel, name, _ros1_typestore, ("ros1msg",))
     return _decoder(_ros1_typestore().deserialize_ros1, name)
 
 
@@ -89,7 +92,10 @@ def _decoder(deserialize: Callable[[bytes, str], Any], name: str) -> Decode:
 
 
 def _check_same(
-    channel: RawChannel, name: str, store: Typestore, encodings: tuple[str, ...]
+    channel: RawChannel,
+    name: str,
+    store: Callable[[], Typestore],
+    encodings: tuple[str, ...],
 ) -> None:
     """Refuse a log's own definition of a type that lays it out in another way than ours."""
     if channel.schema_encoding not in encodings:
@@ -97,16 +103,28 @@ def _check_same(
         raise UnusableError(
             f"schema encoding {channel.schema_encoding[:20]!r} is not read (only {known})"
         )
+    if len(channel.schema) > _MOST_SCHEMA_BYTES:
+        raise UnusableError("its schema is too large")
+    is_same = _is_same(channel.schema, channel.schema_encoding, name, store)
+    if is_same is None:
+        raise UnusableError("its schema is damaged")
+    if not is_same:
+        raise UnusableError(f"its schema is not the usual {channel.type_name}")
+
+
+@lru_cache(maxsize=64)
+def _is_same(
+    schema: bytes, encoding: str, name: str, store: Callable[[], Typestore]
+) -> bool | None:
+    """Whether a definition is ours; None for a damaged one. Parsed once for all of its channels."""
     try:
-        theirs = _PARSERS[channel.schema_encoding](channel.schema.decode(), name)
-    except (TypesysError, *DAMAGED) as error:
-        raise UnusableError("its schema is damaged") from error
-    ours = store.fielddefs
-    same = name in theirs and all(
+        theirs = _PARSERS[encoding](schema.decode(), name)
+    except (TypesysError, *DAMAGED):
+        return None
+    ours = store().fielddefs
+    return name in theirs and all(
         one in ours and list(ours[one][1]) == list(parsed[1]) for one, parsed in theirs.items()
     )
-    if not same:
-        raise UnusableError(f"its schema is not the usual {channel.type_name}")
 
 
 @cache
