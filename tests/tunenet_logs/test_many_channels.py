@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from mcap.writer import Writer
 
@@ -13,9 +14,10 @@ from tunenet_logs.formats import ros
 from tunenet_logs.formats.base import RawChannel
 from tunenet_logs.formats.codec import UnusableError
 from tunenet_logs.formats.ros import cdr_decoder
-from tunenet_logs.messages import typestore
+from tunenet_logs.messages import encode, pose, typestore
 from tunenet_logs.reader import read_episode
 
+DATA = encode(pose(0, "map", np.zeros(3)), POSE)
 TEXT = typestore().generate_msgdef(POSE, ros_version=2)[0].encode()
 
 
@@ -25,12 +27,12 @@ def write_channels(path: Path, used: int, unused: int) -> None:
         writer = Writer(file)
         writer.start()
         other = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
-        pose = writer.register_schema(POSE, "ros2msg", TEXT)
+        ours = writer.register_schema(POSE, "ros2msg", TEXT)
         for number in range(unused + used):
-            schema = other if number < unused else pose
+            schema = other if number < unused else ours
             channel = writer.register_channel(f"/ch{number}", "cdr", schema)
             for stamp in (1, 2):
-                writer.add_message(channel, stamp, b"\0\1\0\0\1\0\0\0\0", stamp)
+                writer.add_message(channel, stamp, DATA, stamp)
         writer.finish()
 
 
