@@ -13,6 +13,15 @@ import zstandard
 from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_typestore
 
+LAUNCHER = """
+import resource, subprocess, sys
+code = subprocess.run(sys.argv[1:]).returncode
+sys.stdout.flush()
+print("peak", resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss, file=sys.stderr)
+sys.exit(code)
+"""
+"""A small process between: the peak of one that is forked counts its parent's memory too."""
+
 MAGIC = b"\x89MCAP0\r\n"
 HEADER = struct.pack("<BQII", 1, 8, 0, 0)
 

@@ -10,16 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import BIN
-from tests.hostile import BOMBS
-
-LAUNCHER = """
-import resource, subprocess, sys
-code = subprocess.run(sys.argv[1:]).returncode
-sys.stdout.flush()
-print("peak", resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss, file=sys.stderr)
-sys.exit(code)
-"""
-"""A small process between: the peak of one that is forked counts its parent's memory too."""
+from tests.hostile import BOMBS, LAUNCHER
 
 MOST_BYTES = 512 * 2**20
 
