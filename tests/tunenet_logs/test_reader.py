@@ -16,14 +16,13 @@ from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, McapRecord, Message, Schema
 from mcap.writer import CompressionType, Writer
 
-from tests.conftest import ROOT, record
+from tests.conftest import real, record
 from tests.hostile import HEADER, MAGIC, chunk
 from tests.strangers import Stranger, write_poses
 from tunenet_logs.errors import LogError, TuneNetError
 from tunenet_logs.reader import read_episode
 
 FUZZ = settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-REAL = ROOT.parent / "shared" / "real"
 
 
 @pytest.fixture(scope="module")
@@ -172,10 +171,9 @@ def test_channels_that_cannot_be_used_say_why(tmp_path: Path):
     assert "protobuf" in reasons["/proto"]
 
 
-@pytest.mark.skipif(not REAL.is_dir(), reason="recordings by others are not part of the project")
 @pytest.mark.parametrize("folder", ["mcap_rosbag2", "mcap_conformance"])
 def test_files_by_other_writers_open(folder: str):
-    for path in sorted((REAL / folder).glob("*.mcap")):
+    for path in sorted(real(folder).glob("*.mcap")):
         episode = read_episode(path)
         for channel in episode.channels:
             assert channel.skipped or channel.topic in episode.signals or not channel.messages
