@@ -105,6 +105,28 @@ def forged_jpeg_within_bounds(path: Path) -> None:
     forged_jpeg(path, (5900, 6000))
 
 
+def blank_pictures(path: Path) -> None:
+    """PNGs of 36 megapixels that are blank: whole, and a few bytes each once they are packed."""
+    blank = cv2.imencode(".png", np.zeros((6000, 6000), np.uint8))[1].tobytes()
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    kind = "sensor_msgs/msg/CompressedImage"
+    types = store.types
+    text = store.generate_msgdef(kind, ros_version=2)[0]
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2")
+        channel = writer.register_channel(
+            "/eye", "cdr", writer.register_schema(kind, "ros2msg", text.encode())
+        )
+        for index in range(1, 61):
+            stamp = types["builtin_interfaces/msg/Time"](sec=index, nanosec=0)
+            header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
+            message = types[kind](header=header, format="png", data=np.frombuffer(blank, np.uint8))
+            data = bytes(store.serialize_cdr(message, kind))
+            writer.add_message(channel, index * 10**9, data, index * 10**9)
+        writer.finish()
+
+
 def nested_metadata(path: Path) -> None:
     """An episode record of a million characters and of numbers that are none."""
     with path.open("wb") as file:
@@ -125,6 +147,7 @@ BOMBS: tuple[Callable[[Path], None], ...] = (
     nested_json,
     forged_jpeg,
     forged_jpeg_within_bounds,
+    blank_pictures,
     nested_metadata,
 )
 

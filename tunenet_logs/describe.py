@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tunenet_logs.episode import Channel, Episode, EpisodeInfo
+from tunenet_logs.formats.opening import file_bytes
 from tunenet_logs.wording import one_line, short_name
 
 _MOST_ROWS = 100
@@ -25,7 +26,7 @@ _EARLIEST_DATE_NS = 1_000_000_000 * 10**9
 
 def describe(path: Path, episode: Episode) -> str:
     """The log, one fact a line: its info, its damage, its channels and when they were heard."""
-    lines = [f"{path}: {_size(path)} bytes{_span(episode.channels)}"]
+    lines = [f"{path}: {file_bytes(path)} bytes{_span(episode.channels)}"]
     lines += [f"  {line}" for line in _episode_lines(episode.info)]
     lines += [f"  warning: {warning}" for warning in episode.warnings[:_MOST_ROWS]]
     lines += _more(len(episode.warnings), "warnings")
@@ -60,12 +61,6 @@ def gaps_s(stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
     if len(periods) < 2:
         return np.empty(0)
     return periods[periods > _GAP * max(float(np.quantile(periods, 0.75)), 1e-3)]
-
-
-def _size(path: Path) -> int:
-    if path.is_dir():
-        return sum(one.stat().st_size for one in path.iterdir() if one.is_file())
-    return path.stat().st_size
 
 
 def _span(channels: Sequence[Channel]) -> str:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence, Set
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -20,6 +22,10 @@ from tunenet_logs.formats.base import (
 from tunenet_logs.formats.pictures import frames_of
 from tunenet_logs.messages import INFO_RECORD
 from tunenet_logs.topic_contents import TopicContents
+
+_FREE_PIXELS = 100_000_000
+_MOST_PIXELS_A_BYTE = 20_000
+"""Of a whole log: a video of a scene in which nothing moves may have 7000."""
 
 _MOST_LOSSES = 5
 """Places of damage that are named one by one among the warnings."""
@@ -146,6 +152,17 @@ def _frames(path: Path, container: Container, by_log: Set[str], topic: str) -> I
         container: how it is read.
         by_log: topics whose header stamps do not tell the time.
         topic: the channel's.
+
+    Raises:
+        LogError: a small log claims so many pixels that decoding them would take minutes.
     """
     records = container(path, [], (topic,))
-    return frames_of(records, topic, is_told=topic not in by_log)
+    most_pixels = _FREE_PIXELS + _MOST_PIXELS_A_BYTE * opening.file_bytes(path)
+    for frame in frames_of(records, topic, is_told=topic not in by_log):
+        with suppress(LogError):  # one that is damaged costs nothing
+            most_pixels -= math.prod(frame.size_px())
+        if most_pixels < 0:
+            raise LogError(
+                f"{path}: its pictures claim far more pixels than a log of that size has"
+            )
+        yield frame

@@ -27,6 +27,12 @@ _CONTAINERS: dict[bytes, Container] = {
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
+def file_bytes(path: Path) -> int:
+    """Size of a log, of all files of a folder's."""
+    files = path.iterdir() if path.is_dir() else (path,)
+    return sum(one.stat().st_size for one in files if one.is_file())
+
+
 def opened(path: Path) -> Container | Episode:
     """How the messages of a log are read; or the episode, where a file is no such container.
 
