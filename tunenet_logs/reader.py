@@ -25,7 +25,7 @@ from tunenet_logs.topic_contents import TopicContents
 
 _FREE_PIXELS = 100_000_000
 _MOST_PIXELS_A_BYTE = 20_000
-"""Of a whole log: a video of a scene in which nothing moves may have 7000."""
+"""Of a whole log; ten times what one picture may have, as a video repeats nothing that rests."""
 
 _MOST_LOSSES = 5
 """Places of damage that are named one by one among the warnings."""

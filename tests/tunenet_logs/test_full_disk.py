@@ -134,9 +134,11 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     try:
         mounted = subprocess.run(words, capture_output=True, text=True, timeout=20)
     except FileNotFoundError:
-        pytest.skip("there is no mount command to make a small disk with")
+        pytest.skip("a full disk needs a small one, and there is no mount command to make it with")
     if mounted.returncode:
-        pytest.skip(f"a small disk cannot be mounted here ({mounted.stderr.strip()})")
+        pytest.skip(
+            f"a full disk needs a small one, and only root may mount it ({mounted.stderr.strip()})"
+        )
     yield folder
     subprocess.run(["umount", str(folder)], check=True, timeout=20)
 
