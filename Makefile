@@ -42,6 +42,6 @@ clean:
 	@touch $@
 
 .venv/developing: .venv/installed
-	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_ARGS) -e '.[dev]'
+	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_ARGS) -e '.[dev,eval]'
 	$(BIN)/pyright --version
 	@touch $@

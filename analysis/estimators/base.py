@@ -85,6 +85,14 @@ class Problem:
         episode = self._simulator.rollout(named)
         return Look(episode, self._observe(episode))
 
+    def misfit(self, look: Look) -> Array:
+        """What the observation of `look` has more than the target has, shape (L * C,).
+
+        0 where either shows nothing.
+        """
+        difference = look.observation.values - self.target.values
+        return np.where(np.isfinite(difference), difference, 0.0).ravel()
+
     def clamp(self, values: Array) -> Array:
         """The nearest values that physics allows, shape (P,)."""
         low, high = np.array([one.bounds for one in self.parameters]).T
@@ -93,7 +101,7 @@ class Problem:
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One iterate.
+    """One iterate: the method's answer after so many rollouts.
 
     Attributes:
         values: shape (P,).
@@ -108,7 +116,7 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """The iterates of one estimation, the initial guess first."""
+    """The iterates of one estimation, the initial guess first, by increasing rollouts."""
 
     steps: tuple[Step, ...]
 
@@ -116,6 +124,10 @@ class Trace:
     def estimate(self) -> Array:
         """The last iterate, shape (P,)."""
         return self.steps[-1].values
+
+    def after(self, rollouts: int) -> Array:
+        """The answer to whoever pays for so many rollouts, shape (P,)."""
+        return [step for step in self.steps if step.rollouts <= rollouts][-1].values
 
 
 class Estimator(Protocol):
@@ -126,6 +138,10 @@ class Estimator(Protocol):
         """What it is called on the command line and in tables."""
         ...
 
-    def estimate(self, problem: Problem, iterations: int) -> Trace:
-        """Spend `iterations` steps on the problem."""
+    def estimate(self, problem: Problem, rollouts: int) -> Trace:
+        """Spend at most `rollouts` on the problem.
+
+        Returns:
+            An answer for every count of rollouts at which there is a new one; the first for none.
+        """
         ...

@@ -17,11 +17,11 @@ class TuneNet:
     def __init__(self, model: Model) -> None:
         self._model = model
 
-    def estimate(self, problem: Problem, iterations: int) -> Trace:
+    def estimate(self, problem: Problem, rollouts: int) -> Trace:
         """One rollout an iteration; see `Estimator.estimate`."""
         values = problem.initial
         steps: list[Step] = []
-        for _ in range(iterations):
+        for _ in range(rollouts):
             spent = problem.rollouts
             look = problem.look(values)
             steps.append(Step(values, spent, look))
