@@ -76,9 +76,13 @@ def _parameters(tuning: Tuning) -> dict[str, Any] | None:
     if tuning.estimate is None:
         return None
     return {
-        one.name: {"value": float(value), "interval95": None, "unit": one.unit}
-        for one, value in zip(tuning.parameters, tuning.estimate, strict=True)
+        one.name: {"value": float(value), "interval95": _interval(tuning, index), "unit": one.unit}
+        for index, (one, value) in enumerate(zip(tuning.parameters, tuning.estimate, strict=True))
     }
+
+
+def _interval(tuning: Tuning, index: int) -> list[float] | None:
+    return None if tuning.interval95 is None else [float(end) for end in tuning.interval95[index]]
 
 
 def _bounces(tuning: Tuning) -> list[dict[str, Any]]:
@@ -87,11 +91,24 @@ def _bounces(tuning: Tuning) -> list[dict[str, Any]]:
     return [
         {
             "restitution": float(tuning.estimate[0]),
-            "interval95": None,
+            "interval95": _interval(tuning, 0),
             "impact_speed": tuning.found.drop.impact_speed_m_s,
             "unit": "m/s",
         }
     ]
+
+
+_HEADER = (
+    "log",
+    "verdict",
+    "restitution",
+    "95 % interval",
+    "cross-check",
+    "drop",
+    "rollouts",
+    "time",
+    "truth",
+)
 
 
 @dataclass(frozen=True)
@@ -108,6 +125,7 @@ class Row:
     verdict: str
     reason: str | None
     estimate: float | None
+    interval95: list[float] | None
     cross_check: float | None
     drop_height_m: float | None
     rollouts: int
@@ -127,6 +145,7 @@ def row_of(tuning: Tuning) -> Row:
         verdict=tuning.verdict,
         reason=tuning.reason,
         estimate=None if tuning.estimate is None else float(tuning.estimate[0]),
+        interval95=_interval(tuning, 0),
         cross_check=None if tuning.cross_check is None else tuning.cross_check.value,
         drop_height_m=None if found is None else found.drop.drop_height_m,
         rollouts=tuning.rollouts,
@@ -140,10 +159,11 @@ def row_of(tuning: Tuning) -> Row:
 
 def table(rows: Sequence[Row]) -> str:
     """One line a log, and a line below for each that is not plainly ok."""
-    cells = [("log", "verdict", "restitution", "cross-check", "drop", "rollouts", "time", "truth")]
-    cells += [_cells(row) for row in rows]
-    if all(row.truth is None for row in rows):
-        cells = [line[:-1] for line in cells]
+    cells = [_HEADER, *(_cells(row) for row in rows)]
+    empty = {_HEADER.index("truth")} if all(row.truth is None for row in rows) else set[int]()
+    if all(row.interval95 is None for row in rows):
+        empty.add(_HEADER.index("95 % interval"))
+    cells = [tuple(cell for index, cell in enumerate(line) if index not in empty) for line in cells]
     widths = [max(len(line[column]) for line in cells) for column in range(len(cells[0]))]
     lines = [
         "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
@@ -167,6 +187,7 @@ def _cells(row: Row) -> tuple[str, ...]:
         one_line(row.log),
         row.verdict,
         figure(row.estimate),
+        "-" if row.interval95 is None else "{:.4f} to {:.4f}".format(*row.interval95),
         figure(row.cross_check),
         figure(row.drop_height_m, ".3f", " m"),
         str(row.rollouts),

@@ -14,7 +14,7 @@ from analysis.estimators.base import Problem, Step, Trace
 from analysis.estimators.tunenet import TuneNet
 from analysis.observe.quality import Check, log_checks
 from analysis.tasks import TASKS, task_for
-from analysis.tasks.base import CrossCheck, Preset, Selection, Task
+from analysis.tasks.base import CrossCheck, Preset, Refined, Selection, Task
 from analysis.tunenet.checkpoint import load_model, shipped_model
 from analysis.tunenet.network import Model
 from recorders.simulators.base import Parameter
@@ -24,6 +24,11 @@ from tunenet_logs.reader import read_episode
 
 Verdict = Literal["ok", "suspect", "rejected"]
 
+NETWORK = TuneNet.name
+REFINED = f"{TuneNet.name}+refine"
+METHODS = (REFINED, NETWORK)
+"""What a user may ask for; the first is the default where the log and the preset allow it."""
+
 
 @dataclass(frozen=True)
 class Options:
@@ -32,6 +37,7 @@ class Options:
     Attributes:
         task: None to go by the log.
         initial: None for the task's own first guess.
+        method: one of `METHODS`; None for the best that there is.
         weights: None for those that the package ships.
     """
 
@@ -39,6 +45,7 @@ class Options:
     preset: str = "default"
     iterations: int = 5
     initial: float | None = None
+    method: str | None = None
     weights: Path | None = None
     selection: Selection = field(default_factory=Selection)
 
@@ -52,6 +59,7 @@ class Tuning:
         episode: the log as it was read; None if it could not be.
         found: what the task found in it; None if nothing.
         trace: the iterates with their rollouts, the last one's too; None where there are none.
+        refined: what follows the network's steps, and the last of the iterates; None without.
         rollouts: all simulator runs, that of the last iterate too.
         digest: of the weights.
         step_hz: the simulator's steps a second.
@@ -63,11 +71,11 @@ class Tuning:
     preset: str
     verdict: Verdict
     reason: str | None
-    method: str = TuneNet.name
     parameters: tuple[Parameter, ...] = ()
     episode: Episode | None = None
     found: Any = None
     trace: Trace | None = None
+    refined: Refined | None = None
     rollouts: int = 0
     cross_check: CrossCheck | None = None
     checks: tuple[Check, ...] = ()
@@ -82,6 +90,25 @@ class Tuning:
         if self.trace is None or self.verdict == "rejected":
             return None
         return self.trace.estimate
+
+    @property
+    def method(self) -> str:
+        """How the values were found."""
+        return REFINED if self.refined else NETWORK
+
+    @property
+    def interval95(self) -> NDArray[np.float64] | None:
+        """Of the tuned values, shape (P, 2); None where none is honest.
+
+        An interval tells of noise. Where a check doubts the model behind it, it would only look
+        sure.
+        """
+        if self.refined is None or self.estimate is None:
+            return None
+        doubts = [one for one in self.checks if not one.passed and one is not self.refined.check]
+        if doubts or (self.cross_check is not None and not self.cross_check.agrees):
+            return None
+        return self.refined.interval95
 
 
 class _Stopwatch:
@@ -132,8 +159,10 @@ def tune_log(path: Path, options: Options) -> Tuning:
         watch.lap("observe")
         return replace(rejected, reason=str(error).removeprefix(f"{path}: "))
     watch.lap("observe")
-    trace = _with_last_look(TuneNet(model).estimate(problem, options.iterations), problem)
-    checks = (*log_checks(episode), *task.checks(found, trace.steps[-1]))
+    trace = TuneNet(model).estimate(problem, options.iterations)
+    refined = None if options.method == NETWORK else task.refine(found, trace.estimate)
+    trace = _looked_at(trace, refined, problem)
+    checks = (*log_checks(episode), *task.checks(found, trace.steps[-1], refined))
     cross_check = task.cross_check(found, trace.estimate)
     watch.lap("tune")
     verdict, reason = _judge(checks, cross_check)
@@ -143,10 +172,11 @@ def tune_log(path: Path, options: Options) -> Tuning:
         reason=reason,
         found=found,
         trace=trace,
+        refined=refined,
         rollouts=problem.rollouts,
         cross_check=cross_check,
         checks=checks,
-        warnings=(*episode.warnings, *found.warnings),
+        warnings=(*episode.warnings, *found.warnings, *_unrefined(options, refined)),
         digest=model.digest,
     )
 
@@ -156,6 +186,12 @@ def _preset(task: Task, options: Options) -> Preset:
         known = ", ".join(task.presets)
         raise UsageError(f"{task.name} has no preset {options.preset!r}; there is: {known}")
     return task.presets[options.preset]
+
+
+def _unrefined(options: Options, refined: Refined | None) -> tuple[str, ...]:
+    if options.method != REFINED or refined is not None:
+        return ()
+    return (f"method {REFINED} is for positions under the preset default; {NETWORK} was used",)
 
 
 def _initial(task: Task, options: Options) -> NDArray[np.float64]:
@@ -171,11 +207,14 @@ def _model(preset: Preset, options: Options) -> Model:
     return shipped_model(preset.purpose)
 
 
-def _with_last_look(trace: Trace, problem: Problem) -> Trace:
-    """Simulate the result too: it is what gets checked and shown, and its rollout is counted."""
+def _looked_at(trace: Trace, refined: Refined | None, problem: Problem) -> Trace:
+    """Simulate the last iterate and the refined one: they are checked and shown, and counted."""
     last = trace.steps[-1]
-    judged = Step(last.values, last.rollouts, problem.look(last.values))
-    return Trace((*trace.steps[:-1], judged))
+    steps = [*trace.steps[:-1], Step(last.values, last.rollouts, problem.look(last.values))]
+    if refined is not None:
+        spent = problem.rollouts
+        steps.append(Step(refined.values, spent, problem.look(refined.values)))
+    return Trace(tuple(steps))
 
 
 def _judge(checks: tuple[Check, ...], cross_check: CrossCheck | None) -> tuple[Verdict, str | None]:

@@ -59,6 +59,12 @@ def build_parser() -> Parser:
     )
     preset_option(parser)
     add(
+        "--method",
+        choices=["tunenet+refine", "tunenet"],
+        help="the network's steps and a least-squares fit after them, with an interval, or the "
+        "steps alone (default: the fit for positions under the preset default)",
+    )
+    add(
         "--iterations",
         type=whole(1, 1000),
         default=5,
@@ -161,6 +167,7 @@ def _tune(arguments: argparse.Namespace) -> int:
         preset=arguments.preset,
         iterations=arguments.iterations,
         initial=arguments.initial,
+        method=arguments.method,
         weights=arguments.weights,
         selection=_marked(arguments.logs[0], selection, progress)
         if arguments.preview

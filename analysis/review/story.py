@@ -83,7 +83,8 @@ def story_of(tuning: Tuning) -> Story:
         inside = (seconds > drop.seconds[0] - 1e-6) & (seconds < drop.seconds[-1] + 1e-6)
         value = float(step.values[0])
         width = 3.0 if k == len(steps) - 1 else 1.2
-        label = f"k={k}  e={value:.4f}"
+        is_refined = tuning.refined is not None and k == len(steps) - 1
+        label = f"{'refined' if is_refined else f'k={k}'}  e={value:.4f}"
         color = ramp(k, len(steps))
         simulated.append(Curve(label, color, width, value, seconds[inside], heights[inside]))
     return Story(

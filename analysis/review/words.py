@@ -17,6 +17,8 @@ def result_words(tuning: Tuning) -> str:
     if tuning.estimate is not None:
         named = zip(tuning.parameters, tuning.estimate, strict=True)
         lines += [f"# {one.name} {value:.4f}" for one, value in named]
+    if tuning.interval95 is not None:
+        lines += ["95 %: {:.4f} to {:.4f}".format(*ends) for ends in tuning.interval95]
     lines.append(
         f"**{tuning.verdict}**" + (f": {one_line(tuning.reason)}" if tuning.reason else "")
     )
@@ -27,6 +29,8 @@ def result_words(tuning: Tuning) -> str:
         )
         shown = list(enumerate(tuning.trace.steps))[-_SHOWN:]
         cells = [(str(k), f"{step.values[0]:.4f}") for k, step in shown]
+        if tuning.refined is not None:
+            cells[-1] = ("refined", cells[-1][1])
         rows = [
             "| " + " | ".join(row) + " |" for row in zip(("k", "restitution"), *cells, strict=True)
         ]

@@ -46,6 +46,21 @@ class CrossCheck:
     agrees: bool
 
 
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """What a refinement makes of the network's estimate.
+
+    Attributes:
+        values: shape (P,).
+        interval95: lower and upper end for each, shape (P, 2).
+        check: whether the interval is narrow enough to be of use.
+    """
+
+    values: Array
+    interval95: Array
+    check: Check
+
+
 @dataclass(frozen=True)
 class Preset:
     """One way of doing a task.
@@ -109,8 +124,12 @@ class Task(Protocol):
         """
         ...
 
-    def checks(self, found: Any, last: Step) -> tuple[Check, ...]:
-        """What speaks for and against the last iterate."""
+    def refine(self, found: Any, estimate: Array) -> Refined | None:
+        """The exact value near the network's, shape (P,); None where there is no such method."""
+        ...
+
+    def checks(self, found: Any, last: Step, refined: Refined | None) -> tuple[Check, ...]:
+        """What speaks for and against the last iterate: the refined one if there is one."""
         ...
 
     def cross_check(self, found: Any, estimate: Array) -> CrossCheck | None:

@@ -13,9 +13,17 @@ from analysis.observe import drop as views
 from analysis.observe.base import Observation
 from analysis.observe.free_fall import Drop, find_drops
 from analysis.observe.part import check_start
-from analysis.observe.quality import Check, fall_checks, fit_check, recording_checks
+from analysis.observe.quality import (
+    Check,
+    fall_checks,
+    fit_check,
+    rebound_check,
+    recording_checks,
+    sure_check,
+)
 from analysis.observe.strays import strays
-from analysis.tasks.base import CrossCheck, Preset, Selection
+from analysis.refine.bounce_fit import fit_bounce
+from analysis.tasks.base import CrossCheck, Preset, Refined, Selection
 from analysis.tasks.drop_presets import PAPER_HEIGHT_M, PRESETS
 from analysis.tasks.found_drop import FoundDrop, drop_problem
 from recorders.simulators.drop import RESTITUTION, TOPIC
@@ -67,13 +75,23 @@ class DropTask:
         """See `Task.problem`."""
         return drop_problem(found, initial)
 
-    def checks(self, found: FoundDrop, last: Step) -> tuple[Check, ...]:
+    def refine(self, found: FoundDrop, estimate: Array) -> Refined | None:
+        """The bounce in closed form, fitted to all samples; see `Task.refine`."""
+        fit = fit_bounce(found.drop, float(estimate[0])) if found.physical else None
+        if fit is None:
+            return None
+        ends = np.array([fit.interval95])
+        return Refined(np.array([fit.restitution]), ends, sure_check(*fit.interval95))
+
+    def checks(self, found: FoundDrop, last: Step, refined: Refined | None) -> tuple[Check, ...]:
         """See `Task.checks`."""
         assert last.look is not None
         checks = recording_checks(found.drop, found.sideways_m)
         physical = found.physical
         if physical:  # the paper's simulator has a drag of its own
-            checks += fall_checks(found.drop, float(last.values[0]))
+            value = float(last.values[0])
+            checks += fall_checks(found.drop, value)
+            checks.append(refined.check if refined else rebound_check(found.drop, value))
         height_m, noise_m = found.drop.drop_height_m, found.drop.noise_m
         scale = 1.0 if physical else height_m
         most = _FIT if physical else _PAPER_FIT

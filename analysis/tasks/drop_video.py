@@ -14,7 +14,7 @@ from analysis.observe.film_quality import film_checks, scale_checks
 from analysis.observe.quality import Check, fit_check, recording_checks
 from analysis.observe.tracking.pictures import Pictures
 from analysis.observe.tracking.track import Hints, Track, track_ball
-from analysis.tasks.base import CrossCheck, Preset, Selection
+from analysis.tasks.base import CrossCheck, Preset, Refined, Selection
 from analysis.tasks.drop_video_presets import PRESETS
 from analysis.tasks.found_drop import FoundDrop, drop_problem
 from recorders.simulators.drop import RESTITUTION
@@ -94,7 +94,15 @@ class DropVideoTask:
         """See `Task.problem`."""
         return drop_problem(found, initial)
 
-    def checks(self, found: FoundDrop, last: Step) -> tuple[Check, ...]:
+    def refine(self, found: FoundDrop, estimate: Array) -> None:
+        """There is none for films; see `Task.refine`."""
+
+    def checks(
+        self,
+        found: FoundDrop,
+        last: Step,
+        refined: Refined | None,  # noqa: ARG002 (there is none)
+    ) -> tuple[Check, ...]:
         """See `Task.checks`."""
         assert last.look is not None
         assert found.film is not None
