@@ -43,7 +43,7 @@ def main() -> None:
         )
         weights = Path(folder) / "weights.safetensors"
         words = (BIN / "tunenet-train", "drop", "--preset", "paper-code", "-o", weights)
-        print(f"tunenet-train, start-up and all  {seconds(*words, best_of=2):6.2f} s")
+        print(f"tunenet-train, start-up and all  {seconds(*words, best_of=1):6.2f} s")
     training.main()
 
 
