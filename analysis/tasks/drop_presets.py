@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from analysis.tunenet.checkpoint import Purpose
 from analysis.tunenet.network import AntisymmetricNetwork, PaperNetwork
 from analysis.tunenet.pairs import PairSet, consecutive_pairs, mixed_pairs, observe_all
 from analysis.tunenet.training import Recipe
+from recorders.simulators.ball_world import BallWorld
 from recorders.simulators.contact import CALIBRATED, PAPER, ContactSettings
 from recorders.simulators.drop import RESTITUTION, DropRig, DropSimulator
 from tunenet_logs.progress import Progress
@@ -33,10 +35,17 @@ _ROLLOUTS = 2048
 _PAIRS = 51_200
 
 
+@lru_cache(maxsize=1)
+def _world(radius_m: float, contact: ContactSettings) -> BallWorld:
+    """One a process: making it takes as long as a dozen rollouts."""
+    return BallWorld(radius_m, contact)
+
+
 def _observe_plans(plans: Sequence[Plan]) -> Array:
     """Observations of rollouts, shape (N, L, 1); runs in the worker processes."""
     curves: list[Array] = []
-    simulator = DropSimulator(plans[0][0], plans[0][1])
+    rig, contact, _ = plans[0]
+    simulator = DropSimulator(rig, contact, _world(rig.radius_m, contact))
     for rig, contact, restitution in plans:
         simulator = simulator.with_rig(rig)
         episode = simulator.rollout({RESTITUTION.name: restitution})

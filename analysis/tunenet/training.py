@@ -58,6 +58,7 @@ def train(network: Network, pairs: PairSet, recipe: Recipe, seed: int, progress:
         scaling.input_gain
     )
     shown = torch.from_numpy(np.isfinite(bank))
+    complete = bool(shown.all())
     noise = float(np.mean(recipe.noise * scaling.input_gain))
     wanted = (pairs.residuals - scaling.output_offset) / scaling.output_gain
     outputs = wanted.shape[1]
@@ -76,8 +77,10 @@ def train(network: Network, pairs: PairSet, recipe: Recipe, seed: int, progress:
             order = torch.randperm(len(proposed), generator=generator)
             for chosen in order.split(recipe.batch):
                 first, second = proposed[chosen], target[chosen]
-                both = shown[first] & shown[second]  # as `Scaling.inputs` has it
-                o_p, o_t = inputs[first] * both, inputs[second] * both
+                o_p, o_t = inputs.index_select(0, first), inputs.index_select(0, second)
+                if not complete:
+                    both = shown[first] & shown[second]  # as `Scaling.inputs` has it
+                    o_p, o_t = o_p * both, o_t * both
                 o_p, o_t = _augment(o_p, o_t, noise, recipe.cut_share, generator)
                 found = network.residual(weights, o_p, o_t)
                 loss = _loss(recipe.loss, found, residuals[chosen])

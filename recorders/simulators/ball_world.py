@@ -64,6 +64,19 @@ class BallWorld:
         velocity, _ = engine.getBaseVelocity(self._ball, physicsClientId=client)
         return position[2], velocity[2]
 
+    def steps(self, period_s: float, count: int) -> list[float]:
+        """Step so many times; the centre's height after each [m]."""
+        client, ball = self._client, self._ball
+        step = self._engine.stepSimulation
+        pose = self._engine.getBasePositionAndOrientation
+        self._engine.setTimeStep(period_s, physicsClientId=client)
+        heights_m: list[float] = []
+        for _ in range(count):
+            step(physicsClientId=client)
+            position, _ = pose(ball, physicsClientId=client)
+            heights_m.append(position[2])
+        return heights_m
+
     def _change(self, body: int, **dynamics: Any) -> None:
         dynamics |= dict(self.contact.body)
         self._engine.changeDynamics(body, -1, **dynamics, physicsClientId=self._client)

@@ -124,6 +124,6 @@ class DropSimulator:
                     heights_m[index] = flight.advance(min(period_s, falling_s))
         else:
             world.place(rig.gap_m, restitution)
-            for index in range(round(rig.hold_s * rig.rate_hz), rig.samples):
-                heights_m[index], _ = world.step(period_s)
+            held = min(round(rig.hold_s * rig.rate_hz), rig.samples)
+            heights_m[held:] = world.steps(period_s, rig.samples - held)
         return heights_m

@@ -24,6 +24,7 @@ def pybullet() -> ModuleType:
     return module
 
 
+@cache
 def engine_name() -> str:
     """Engine and version, as a log and a tuning state them."""
     return f"pybullet {version('pybullet')}"

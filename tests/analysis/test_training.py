@@ -64,6 +64,22 @@ def test_the_same_seed_gives_the_same_weights():
     assert not np.array_equal(first.weights["out.weight"], other.weights["out.weight"])
 
 
+def test_what_one_of_a_pair_lacks_is_not_learnt_from_the_other():
+    preset = PRESETS["paper-code"]
+    pairs = preset.make_pairs(50, 0, 1, QUIET)
+    whole = pairs.observations
+    recipe = replace(preset.recipe, epochs=1)
+    trained = []
+    for seen, there in ((np.nan, 1.0), (np.nan, 9.0), (2.0, 1.0), (2.0, 9.0)):
+        observations = whole.copy()
+        observations[pairs.target, 30:60] = seen
+        observations[pairs.proposed, 30:60] = there
+        model = train(preset.network, replace(pairs, observations=observations), recipe, 0, QUIET)
+        trained.append(model.weights["proposed.weight"])
+    assert np.array_equal(trained[0], trained[1])
+    assert not np.array_equal(trained[2], trained[3])
+
+
 def test_pairs_do_not_depend_on_the_number_of_processes():
     preset = PRESETS["paper-code"]
     alone, together = (preset.make_pairs(20, 3, jobs, QUIET) for jobs in (1, 2))

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from recorders.simulators.ball_world import BallWorld
 from recorders.simulators.contact import CALIBRATED, PAPER
 from recorders.simulators.drop import RESTITUTION, TOPIC, DropRig, DropSimulator
 from tests.strangers import bounce_heights
@@ -64,6 +67,24 @@ def test_repeated_rollouts_are_bit_identical():
         fresh = DropSimulator(rig, contact).rollout({"restitution": 0.6}).signals[TOPIC].values
         assert np.array_equal(first, again)
         assert np.array_equal(first, fresh)
+
+
+def test_many_fixed_steps_are_single_steps_one_after_another():
+    world = BallWorld(0.5, PAPER)
+    world.place(4.2, 0.6)
+    singly = [world.step(1 / 60)[0] for _ in range(300)]
+    world.place(4.2, 0.6)
+    assert world.steps(1 / 60, 300) == singly
+    assert min(singly) < 0.6 < max(singly[100:])  # it bounced on the way
+
+
+@pytest.mark.parametrize("hold_s", [0.5, 5.0, 50.0])
+def test_a_held_ball_starts_late_with_the_papers_settings(hold_s: float):
+    rig = DropRig(gap_m=4.0, radius_m=0.5, samples=100)
+    held = round(hold_s * rig.rate_hz)
+    curve = heights(replace(rig, hold_s=hold_s), 0.5, PAPER)
+    assert np.array_equal(curve[:held], np.full(min(held, 100), 4.0))
+    assert np.array_equal(curve[held:], heights(rig, 0.5, PAPER)[: max(100 - held, 0)])
 
 
 def test_the_papers_settings_give_the_papers_restitution():
