@@ -93,10 +93,14 @@ def test_truth_in_the_log_changes_nothing(tmp_path: Path, preset: str):
 
 
 def test_rollouts_are_counted_with_the_one_that_judges(drop_log: Path):
-    tuning = tune_log(drop_log, Options(iterations=7))
+    tuning = tune_log(drop_log, Options(iterations=7, method="tunenet"))
     assert tuning.rollouts == 8
     assert tuning.trace is not None
     assert len(tuning.trace.steps) == 8
+    refined = tune_log(drop_log, Options(iterations=7))
+    assert refined.rollouts == 9
+    assert refined.trace is not None
+    assert len(refined.trace.steps) == 9
 
 
 def test_the_first_guess_is_the_ball_that_does_not_bounce(drop_log: Path):

@@ -1,0 +1,141 @@
+"""Ours: the network's steps, then straight-line fits, then a local search.
+
+The network finds the basin of a cost that has dozens of them, in two steps. Near the target the
+misfit is a straight line in the parameter, at first: the ball's first flight is exactly that, and
+each later impact bends it. So a line through two rollouts, fitted to the longest beginning of the
+episode that it explains to within the noise, lands on the target without a single rollout more.
+What is spent beyond that scans the neighbourhood and ends with Brent's method.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.estimators.base import Look, Problem, Step, Trace
+from analysis.estimators.search import Search
+from analysis.observe.free_fall import noise_of
+from analysis.tunenet.network import Model
+
+Array = NDArray[np.float64]
+
+_NETWORK_STEPS = 2
+_LINE_STEPS = 8
+_SCAN = 13
+_SCAN_SDS = 4.0
+_LEAST_REACH = 1e-4
+_FEWEST = 4
+_CONSISTENT_SDS = 3.0
+_SAME = 1e-10
+
+
+@dataclass(frozen=True)
+class Line:
+    """Where a straight line through two rollouts meets the target.
+
+    Attributes:
+        value: the parameter there.
+        sd: its standard error.
+        samples: length of the beginning of the episode that was fitted.
+    """
+
+    value: float
+    sd: float
+    samples: int
+
+
+class RefinedTuneNet:
+    """For one parameter; algorithm 1 of the paper with another ending."""
+
+    name = "tunenet+refine"
+
+    def __init__(self, model: Model) -> None:
+        self._model = model
+
+    def estimate(self, problem: Problem, rollouts: int) -> Trace:
+        """See `Estimator.estimate`."""
+        values = problem.initial
+        visited: list[tuple[float, Array]] = []
+        steps = [Step(values, 0)]
+        reach = _LEAST_REACH
+        for k in range(min(rollouts, _NETWORK_STEPS + _LINE_STEPS)):
+            look = problem.look(values)
+            visited.append((float(values[0]), problem.misfit(look)))
+            steps[-1] = Step(values, steps[-1].rollouts, look)
+            line = None if k < _NETWORK_STEPS else line_through(visited, problem)
+            if line is not None:
+                values = problem.clamp(np.array([line.value]))
+                reach = max(_SCAN_SDS * line.sd, _LEAST_REACH)
+            elif k < _NETWORK_STEPS:
+                values = problem.clamp(values + self._residual(look, problem))
+            steps.append(Step(values, problem.rollouts))
+        if rollouts > problem.rollouts:
+            steps += _local_search(problem, values, reach, rollouts)
+        return Trace(tuple(steps))
+
+    def _residual(self, look: Look, problem: Problem) -> Array:
+        return self._model(look.observation.values[None], problem.target.values[None])[0]
+
+
+def line_through(visited: list[tuple[float, Array]], problem: Problem) -> Line | None:
+    """The line through the last rollout and the one nearest to it in the parameter.
+
+    Least squares of misfit + slope x change = 0 over the first n samples, for the largest n whose
+    answer is within 3 standard errors of every shorter beginning's (Lepski's rule): where the line
+    bends, longer beginnings contradict shorter ones.
+
+    Args:
+        visited: value and misfit of each rollout so far, shape (L * C,).
+        problem: for the target, whose noise is estimated by its third differences.
+
+    Returns:
+        None where two rollouts do not differ, or too little moves.
+    """
+    here, misfit = visited[-1]
+    others = [one for one in visited[:-1] if abs(one[0] - here) > _SAME]
+    if not others:
+        return None
+    there, other = min(others, key=lambda one: abs(one[0] - here))
+    slope = (misfit - other) / (here - there)
+    count = np.cumsum(np.abs(slope) > _SAME)
+    usable = np.flatnonzero(count >= _FEWEST)
+    if not len(usable):
+        return None
+    power = np.cumsum(slope * slope)[usable]
+    product = np.cumsum(slope * misfit)[usable]
+    values = here - product / power
+    sds = np.sqrt(_noise_variance(problem) / power)
+    above = np.maximum.accumulate(values - _CONSISTENT_SDS * sds)
+    below = np.minimum.accumulate(values + _CONSISTENT_SDS * sds)
+    chosen = int(np.flatnonzero((above <= values) & (values <= below))[-1])
+    return Line(float(values[chosen]), float(sds[chosen]), int(usable[chosen]) + 1)
+
+
+def _noise_variance(problem: Problem) -> float:
+    columns = problem.target.values.T
+    seen = [column[np.isfinite(column)] for column in columns]
+    return float(np.mean([noise_of(one) ** 2 for one in seen]))
+
+
+def _local_search(problem: Problem, values: Array, reach: float, rollouts: int) -> list[Step]:
+    """Scan `reach` to either side, then Brent's method about the best place."""
+    from scipy.optimize import minimize_scalar
+
+    search = Search(problem, rollouts)
+
+    def cost(value: float) -> float:
+        return search.cost(np.array([value]))
+
+    def optimize() -> None:
+        places = values[0] + np.linspace(-reach, reach, _SCAN)
+        places = np.unique(problem.clamp(places[:, None])[:, 0])
+        costs = [cost(place) for place in places]
+        best = int(np.argmin(costs))
+        low, high = places[max(best - 1, 0)], places[min(best + 1, len(places) - 1)]
+        minimize_scalar(
+            cost, bounds=(low, high), method="bounded", options={"xatol": 1e-3 * (high - low)}
+        )
+
+    return list(search.run(optimize).steps[1:])
