@@ -130,13 +130,23 @@ def tune_log(path: Path, options: Options) -> Tuning:
         UsageError, WeightsError: the options fit no log: preset, initial value or weights.
     """
     watch = _Stopwatch()
-    rejected = Tuning(path, options.task, options.preset, "rejected", None, seconds=watch.seconds)
     try:
         episode = read_episode(path)
     except TuneNetError as error:
         watch.lap("read")
-        return replace(rejected, reason=str(error).removeprefix(f"{path}: "))
+        reason = str(error).removeprefix(f"{path}: ")
+        return Tuning(path, options.task, options.preset, "rejected", reason, seconds=watch.seconds)
     watch.lap("read")
+    return _tune(path, episode, options, watch)
+
+
+def tune_episode(episode: Episode, options: Options) -> Tuning:
+    """Tune from an episode in memory, as `tune_log` does from a file."""
+    return _tune(Path(), episode, options, _Stopwatch())
+
+
+def _tune(path: Path, episode: Episode, options: Options, watch: _Stopwatch) -> Tuning:
+    rejected = Tuning(path, options.task, options.preset, "rejected", None, seconds=watch.seconds)
     kind = options.task or episode.info.kind or "drop"
     task = task_for(kind, episode, options.selection.topic)
     if task is None:

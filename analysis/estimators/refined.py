@@ -27,6 +27,7 @@ _SCAN = 13
 _SCAN_SDS = 4.0
 _LEAST_REACH = 1e-4
 _FEWEST = 4
+_PROBE = 0.01
 _CONSISTENT_SDS = 3.0
 _SAME = 1e-10
 
@@ -64,12 +65,12 @@ class RefinedTuneNet:
             look = problem.look(values)
             visited.append((float(values[0]), problem.misfit(look)))
             steps[-1] = Step(values, steps[-1].rollouts, look)
-            line = None if k < _NETWORK_STEPS else line_through(visited, problem)
-            if line is not None:
+            if k < _NETWORK_STEPS:
+                values = problem.clamp(values + self._residual(look, problem))
+            else:
+                line = line_through(visited, problem) or _probe(values, problem)
                 values = problem.clamp(np.array([line.value]))
                 reach = max(_SCAN_SDS * line.sd, _LEAST_REACH)
-            elif k < _NETWORK_STEPS:
-                values = problem.clamp(values + self._residual(look, problem))
             steps.append(Step(values, problem.rollouts))
         if rollouts > problem.rollouts:
             steps += _local_search(problem, values, reach, rollouts)
@@ -111,6 +112,13 @@ def line_through(visited: list[tuple[float, Array]], problem: Problem) -> Line |
     below = np.minimum.accumulate(values + _CONSISTENT_SDS * sds)
     chosen = int(np.flatnonzero((above <= values) & (values <= below))[-1])
     return Line(float(values[chosen]), float(sds[chosen]), int(usable[chosen]) + 1)
+
+
+def _probe(values: Array, problem: Problem) -> Line:
+    """A place near by, where all rollouts so far were alike: the next two make a line."""
+    here = float(values[0])
+    beside = float(problem.clamp(values + _PROBE)[0])
+    return Line(beside if beside > here else here - _PROBE, _PROBE, 0)
 
 
 def _noise_variance(problem: Problem) -> float:

@@ -56,18 +56,32 @@ def _observe_plans(plans: Sequence[Plan]) -> Array:
     return np.array(curves)
 
 
+def observe_paper_drops(
+    releases_m: Array, restitutions: Array, jobs: int | None, progress: Progress
+) -> Array:
+    """Rollouts of the paper's simulator as its network sees them, shape (N, 400, 1).
+
+    Args:
+        releases_m: heights of the ball's centre, shape (N,).
+        restitutions: shape (N,).
+        jobs: processes; None for all cores.
+        progress: where to show it.
+    """
+    radius = views.PAPER_RADIUS_M
+    plans = [
+        (DropRig(float(height) - radius, radius, views.PAPER_RATE_HZ), PAPER, float(value))
+        for height, value in zip(releases_m, restitutions, strict=True)
+    ]
+    return observe_all(_observe_plans, plans, jobs, progress)
+
+
 def _paper_pairs(count: int | None, seed: int, jobs: int | None, progress: Progress) -> PairSet:
     """Both rollouts of a pair from one height, U(4, 5) m; restitutions U(.3, .7)."""
     count = count or _PAPER_PAIRS
     rng = np.random.default_rng(seed)
     heights = np.repeat(rng.uniform(*PAPER_HEIGHT_M, count), 2)
     values = rng.uniform(*PAPER_RESTITUTION, 2 * count)
-    radius = views.PAPER_RADIUS_M
-    plans = [
-        (DropRig(float(height) - radius, radius, views.PAPER_RATE_HZ), PAPER, float(value))
-        for height, value in zip(heights, values, strict=True)
-    ]
-    observations = observe_all(_observe_plans, plans, jobs, progress)
+    observations = observe_paper_drops(heights, values, jobs, progress)
     return PairSet(observations, values[:, None], *consecutive_pairs(count))
 
 
