@@ -33,10 +33,7 @@ def _as_dict(tuning: Tuning) -> dict[str, Any]:
         "physical": tuning.physical,
         "method": tuning.method,
         "rollouts": tuning.rollouts,
-        "iterations": [
-            {"k": k, **_named(tuning, step.values)}
-            for k, step in enumerate(trace.steps if trace else ())
-        ],
+        "iterations": _iterations(tuning),
         "bounces": _bounces(tuning),
         "cross_check": cross
         and {"method": cross.method, "value": cross.value, "agrees": cross.agrees},
@@ -66,6 +63,16 @@ def _as_dict(tuning: Tuning) -> dict[str, Any]:
         }
         result["weights"] = {"preset": tuning.preset, "sha256": tuning.digest}
     return result
+
+
+def _iterations(tuning: Tuning) -> list[dict[str, Any]]:
+    steps = tuning.trace.steps if tuning.trace else ()
+    rows: list[dict[str, Any]] = [
+        {"k": k, **_named(tuning, step.values)} for k, step in enumerate(steps)
+    ]
+    if tuning.refined is not None:
+        rows[-1]["refined"] = True
+    return rows
 
 
 def _named(tuning: Tuning, values: NDArray[np.float64]) -> dict[str, float]:

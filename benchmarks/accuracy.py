@@ -1,7 +1,8 @@
-"""Accuracy of `tunenet-tune`, K = 5, on fresh drops: clean ones of ours, noisy ones in closed form.
+"""Accuracy of `tunenet-tune`, K = 5, on fresh drops, clean and noisy.
 
-`python -m benchmarks.accuracy` prints mean and median absolute errors; beside the network's, those
-of the speeds just after and before the first impact, which need no simulator.
+`python -m benchmarks.accuracy` prints mean and median absolute errors; beside those of the result,
+the network's alone, and those of the speeds just after and before the first impact, which need no
+simulator; and how many of the intervals that were given hold the truth.
 """
 
 from __future__ import annotations
@@ -21,7 +22,10 @@ SEEDS = (1, 2, 3)
 
 
 def errors(noise_m: float, hold_s: float, seed: int) -> np.ndarray:
-    """Absolute errors of the tuning and of the cross-check, shape (answered, 2)."""
+    """Absolute errors of result, network and cross-check; whether the interval holds the truth.
+
+    Shape (answered, 4); the last is NaN where there is no interval.
+    """
     rng = np.random.default_rng(seed)
     rows = []
     with tempfile.TemporaryDirectory() as folder:
@@ -40,10 +44,16 @@ def errors(noise_m: float, hold_s: float, seed: int) -> np.ndarray:
             quiet = Progress(quiet=True)
             record_episode(simulate_drop(order), path, overwrite=False, progress=quiet)
             tuning = tune_log(path, Options())
-            if tuning.estimate is not None:
+            if tuning.estimate is not None and tuning.trace is not None:
+                network = tuning.trace.steps[-2].values[0]
                 check = tuning.cross_check.value if tuning.cross_check else np.nan
-                rows.append([tuning.estimate[0] - truth, check - truth])
-    return np.abs(np.array(rows))
+                off = [tuning.estimate[0] - truth, network - truth, check - truth]
+                rows.append([*np.abs(off), held(tuning.interval95, truth)])
+    return np.array(rows)
+
+
+def held(interval95: np.ndarray | None, truth: float) -> float:
+    return np.nan if interval95 is None else float(interval95[0, 0] <= truth <= interval95[0, 1])
 
 
 def main() -> None:
@@ -53,11 +63,14 @@ def main() -> None:
         runs = [errors(noise_m, hold_s, seed) for seed in SEEDS]
         means = [run[:, 0].mean() for run in runs]
         medians = [np.median(run[:, 0]) for run in runs]
-        speeds = [np.nanmean(run[:, 1]) for run in runs]
+        networks, speeds = ([np.nanmean(run[:, at]) for run in runs] for at in (1, 2))
+        intervals = np.concatenate([run[:, 3] for run in runs])
         print(
             f"noise {1000 * noise_m:g} mm, {sum(map(len, runs))} answered: "
             f"mean {np.mean(means):.6f} ({min(means):.6f} to {max(means):.6f}), "
-            f"median {np.mean(medians):.6f}; speeds alone: mean {np.mean(speeds):.6f}"
+            f"median {np.mean(medians):.6f}; network alone: mean {np.mean(networks):.6f}; "
+            f"speeds alone: mean {np.mean(speeds):.6f}; "
+            f"{np.isfinite(intervals).sum()} intervals hold {100 * np.nanmean(intervals):.1f} %"
         )
 
 
