@@ -22,7 +22,7 @@ def to_json(tuning: Tuning) -> str:
 
 
 def _as_dict(tuning: Tuning) -> dict[str, Any]:
-    found, trace = tuning.found, tuning.trace
+    found = tuning.found
     cross = tuning.cross_check
     result: dict[str, Any] = {
         "log": tuning.log.name,
