@@ -20,13 +20,15 @@ class LeastSquares:
     derivatives are charged like any other.
 
     Args:
-        step: of the finite differences, relative to a parameter's size. scipy's own, 1e-8, is below
-            what an engine with fixed steps resolves.
+        step: of the finite differences, relative to a parameter's size. Local slopes lead into the
+            next of dozens of local minima; a wide step looks across them. On the paper's drops
+            (25 Easy targets, 50 rollouts) the error is .026 with scipy's own step of 1e-8, .042
+            with 1e-3 and .001 with this one.
     """
 
     name = "least-squares"
 
-    def __init__(self, step: float = 1e-3) -> None:
+    def __init__(self, step: float = 0.06) -> None:
         self._step = step
 
     def estimate(self, problem: Problem, rollouts: int) -> Trace:

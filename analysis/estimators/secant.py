@@ -21,8 +21,8 @@ class Secant:
 
     The duration is nearly proportional to the restitution: the first step goes by that, the others
     by the secant through the last two rollouts. A ball that is not seen to leave the table flies
-    for 0 s; where neither of two rollouts is seen to fly, there is no step to make and the answer
-    stays. One parameter.
+    for 0 s, so a target that never bounces leads to the lowest restitution; where no rollout is
+    seen to fly there is no step to make and the answer stays. One parameter.
     """
 
     name = "secant"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from analysis.estimators.base import Problem, Trace
 from analysis.estimators.search import Search
 
@@ -33,4 +35,4 @@ class Tpe:
         while search.left:
             trial = study.ask()
             values = [trial.suggest_float(one.name, *one.bounds) for one in problem.parameters]
-            study.tell(trial, search.cost(values))
+            study.tell(trial, search.cost(np.array(values)))
