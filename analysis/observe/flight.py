@@ -45,7 +45,7 @@ def first_flight_s(seconds: Array, heights: Array) -> float:
     falling = heights[:impact] < rest + 0.98 * (heights[0] - rest)
     down = np.polyfit(clock[:impact][falling], heights[:impact][falling], 2)
     up = np.polyfit(clock[flight], heights[flight], 2)
-    if up[0] >= 0:
+    if not 0.5 * down[0] > up[0] > 2 * down[0]:  # noise about a ball at rest is no free flight
         return 0.0
     apex = -up[1] / (2 * up[0])
     meetings = np.roots(down - up)

@@ -177,6 +177,13 @@ def test_the_secant_bears_a_centimetre_of_noise(problems: DropProblems):
     assert np.mean(np.abs(off)) < 0.002
 
 
+def test_noise_about_a_ball_at_rest_is_no_flight(problems: DropProblems):
+    for truth in (0.0, 0.02, 0.04):
+        for seed in range(10):
+            problem = problems.pose(DropTarget(4.6, 0.4, truth, 0.01, seed))
+            assert Secant().estimate(problem, 4).estimate[0] < 0.1
+
+
 def test_the_secant_gets_away_from_a_ball_that_does_not_bounce(solve: Solve):
     trace, _ = solve("secant", 6, replace(CASE, initial=0.0))
     assert trace.estimate[0] == pytest.approx(CASE.truth, abs=3e-4)
