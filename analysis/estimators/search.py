@@ -8,7 +8,7 @@ from contextlib import suppress
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.estimators.base import Problem, Step, Trace
+from analysis.estimators.base import Look, Problem, Step, Trace
 
 Array = NDArray[np.float64]
 
@@ -18,7 +18,7 @@ class _Spent(Exception):  # noqa: N818 (it ends a search; nothing is wrong)
 
 
 class Search:
-    """Rollouts of one problem, each charged, the best of them kept as the answer.
+    """Rollouts of one problem, each charged; the answer is the best of them, or what is told.
 
     An optimizer of somebody else's calls `cost` or `misfit` as it likes; `run` ends it when the
     budget is spent.
@@ -26,11 +26,13 @@ class Search:
     Args:
         problem: what to match.
         rollouts: most rollouts to spend.
+        keep_best: the answer is the best place so far; else the last one given to `answer`.
     """
 
-    def __init__(self, problem: Problem, rollouts: int) -> None:
+    def __init__(self, problem: Problem, rollouts: int, *, keep_best: bool = True) -> None:
         self._problem = problem
         self._rollouts = rollouts
+        self._keep_best = keep_best
         self._least = np.inf
         self._steps = [Step(problem.initial, 0)]
 
@@ -45,19 +47,39 @@ class Search:
         """Rollouts so far."""
         return self._problem.rollouts
 
-    def misfit(self, values: Array) -> Array:
-        """See `Problem.misfit`, at `values` of shape (P,)."""
-        if self._problem.rollouts >= self._rollouts:
+    @property
+    def left(self) -> int:
+        """Rollouts that may still be made."""
+        return max(0, self._rollouts - self._problem.rollouts)
+
+    @property
+    def least(self) -> float:
+        """The smallest cost so far; infinite before the first rollout."""
+        return self._least
+
+    def look(self, values: Array) -> Look:
+        """See `Problem.look`, at the nearest values to `values`, shape (P,), within bounds."""
+        if not self.left:
             raise _Spent
         values = self._problem.clamp(np.atleast_1d(np.asarray(values, dtype=np.float64)))
         look = self._problem.look(values)
-        misfit = self._problem.misfit(look)
-        cost = float(np.linalg.norm(misfit))
+        cost = float(np.linalg.norm(self._problem.misfit(look)))
         if cost < self._least:
             self._least = cost
-            self._steps.append(Step(values, self._problem.rollouts, look))
-        return misfit
+            if self._keep_best:
+                self._steps.append(Step(values, self._problem.rollouts, look))
+        return look
+
+    def misfit(self, values: Array) -> Array:
+        """See `Problem.misfit`, at `values` of shape (P,)."""
+        return self._problem.misfit(self.look(values))
 
     def cost(self, values: Array) -> float:
         """The L2 norm of the misfit at `values`."""
         return float(np.linalg.norm(self.misfit(values)))
+
+    def answer(self, values: Array) -> None:
+        """What the optimizer would say now, shape (P,); a step of the trace where it is new."""
+        values = self._problem.clamp(np.atleast_1d(np.asarray(values, dtype=np.float64)))
+        if not np.array_equal(values, self._steps[-1].values):
+            self._steps.append(Step(values, self._problem.rollouts))

@@ -1,0 +1,31 @@
+"""Brent's method on the cost: what a user tries first with one parameter."""
+
+from __future__ import annotations
+
+from analysis.estimators.base import Problem, Trace
+from analysis.estimators.search import Search
+
+_CLOSE = 1e-6
+
+
+class Brent:
+    """Golden sections and parabolas over all that physics allows; one parameter.
+
+    It has no use for the initial guess. It finds one local minimum of the cost, of which there are
+    dozens.
+    """
+
+    name = "brent"
+
+    def estimate(self, problem: Problem, rollouts: int) -> Trace:
+        """The best place so far; see `Estimator.estimate`."""
+        from scipy.optimize import minimize_scalar
+
+        (parameter,) = problem.parameters
+        search = Search(problem, rollouts)
+        options = {"xatol": _CLOSE, "maxiter": max(rollouts, 1)}
+        return search.run(
+            lambda: minimize_scalar(
+                search.cost, bounds=parameter.bounds, method="bounded", options=options
+            )
+        )

@@ -1,0 +1,65 @@
+"""Least squares from many starts: what a user tries who has heard of local minima."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.estimators.base import Problem, Trace
+from analysis.estimators.search import Search
+
+Array = NDArray[np.float64]
+
+
+class LeastSquares:
+    """scipy's trust-region least squares on the misfit, from one start after another.
+
+    The first start is the initial guess; the others spread evenly over the bounds. Rollouts for
+    derivatives are charged like any other.
+
+    Args:
+        step: of the finite differences, relative to a parameter's size. Local slopes lead into the
+            next of dozens of local minima; a wide step looks across them. On the paper's drops
+            (25 Easy targets, 50 rollouts) the error is .026 with scipy's own step of 1e-8, .042
+            with 1e-3 and .001 with this one.
+    """
+
+    name = "least-squares"
+
+    def __init__(self, step: float = 0.06) -> None:
+        self._step = step
+
+    def estimate(self, problem: Problem, rollouts: int) -> Trace:
+        """The best place so far; see `Estimator.estimate`."""
+        search = Search(problem, rollouts)
+        return search.run(lambda: self._optimize(search, problem))
+
+    def _optimize(self, search: Search, problem: Problem) -> None:
+        from scipy.optimize import least_squares
+
+        bounds = np.array([one.bounds for one in problem.parameters]).T
+        for start in _starts(problem.initial, bounds):
+            least_squares(search.misfit, start, bounds=tuple(bounds), diff_step=self._step)
+            if search.least == 0:
+                return
+
+
+def _starts(initial: Array, bounds: Array) -> Iterator[Array]:
+    """The initial guess, then 1/2, 1/4, 3/4, 1/8, ... of the way from low to high, without end."""
+    yield initial
+    low, high = bounds
+    index = 1
+    while True:
+        yield low + (high - low) * _reversed_bits(index)
+        index += 1
+
+
+def _reversed_bits(index: int) -> float:
+    """The bits of an index mirrored at the point: 1, 2, 3, ... gives 1/2, 1/4, 3/4, ..."""
+    value, share = 0.0, 0.5
+    while index:
+        value += share * (index & 1)
+        index, share = index >> 1, share / 2
+    return value

@@ -1,0 +1,38 @@
+"""A tree-structured Parzen estimator (Bergstra et al. 2011): a user's all-purpose tuner."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from analysis.estimators.base import Problem, Trace
+from analysis.estimators.search import Search
+
+
+class Tpe:
+    """optuna's sampler on the cost, over all that physics allows, the initial guess first.
+
+    Args:
+        seed: of its sampling.
+    """
+
+    name = "tpe"
+
+    def __init__(self, seed: int) -> None:
+        self._seed = seed
+
+    def estimate(self, problem: Problem, rollouts: int) -> Trace:
+        """The best place so far; see `Estimator.estimate`."""
+        search = Search(problem, rollouts)
+        return search.run(lambda: self._optimize(search, problem))
+
+    def _optimize(self, search: Search, problem: Problem) -> None:
+        import optuna
+
+        optuna.logging.set_verbosity(optuna.logging.WARNING)
+        study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=self._seed))
+        names = [one.name for one in problem.parameters]
+        study.enqueue_trial(dict(zip(names, problem.initial.tolist(), strict=True)))
+        while search.left:
+            trial = study.ask()
+            values = [trial.suggest_float(one.name, *one.bounds) for one in problem.parameters]
+            study.tell(trial, search.cost(np.array(values)))
