@@ -32,7 +32,7 @@ def log_scene(stream: rr.RecordingStream, story: Story) -> None:
         fill_mode="solid",
     )
     stream.log("scene/table", table, static=True)
-    names = ["observed"] + [f"k={k}" for k in range(len(story.simulated))]
+    names = ["observed"] + [one.name for one in story.simulated]
     labels = rr.Points3D(
         [[x, -3.2 * radius, -1.2 * radius] for x in places],
         labels=names,

@@ -91,7 +91,7 @@ def _log_convergence(stream: rr.RecordingStream, story: Story) -> None:
     x = (np.arange(count) + 0.5) / count * _CONVERGENCE_WIDTH
     dots = np.column_stack([x, [-one.value for one in story.simulated]])
     rows = [(-value, f"{value:g}") for value in (0.0, 0.25, 0.5, 0.75, 1.0)]
-    marks = [(float(at), f"k={k}") for k, at in enumerate(x)]
+    marks = [(float(at), one.name) for at, one in zip(x, story.simulated, strict=True)]
     _log_grid(stream, "sheets/convergence", _CONVERGENCE_WIDTH, rows, marks)
     line = rr.LineStrips2D([dots], colors=[MUTED], radii=screen_radius(0.8))
     stream.log("sheets/convergence/line", line, static=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,11 +30,14 @@ class Curve:
     """A height above the table over the log's time.
 
     Attributes:
+        name: "observed", "k=3", "refined".
+        label: the same with its value, for a legend.
         value: the restitution it was simulated with; NaN for the observed one.
         seconds: since the log's first sample [s], shape (T,).
         heights_m: shape (T,).
     """
 
+    name: str
     label: str
     color: Color
     width: float
@@ -45,7 +48,7 @@ class Curve:
     def minus(self, other: Curve) -> Curve:
         """This curve less `other`, at the other's times."""
         off = np.interp(other.seconds, self.seconds, self.heights_m) - other.heights_m
-        return Curve(self.label, self.color, self.width, self.value, other.seconds, off)
+        return replace(self, seconds=other.seconds, heights_m=off)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +76,7 @@ def story_of(tuning: Tuning) -> Story:
     found, drop = tuning.found, tuning.found.drop
     steps = tuning.trace.steps if tuning.trace else ()
     heights = drop.heights_m - (drop.contact_m if tuning.physical else drop.table_m)
-    observed = Curve("observed", OBSERVED, 2.5, float("nan"), drop.seconds, heights)
+    observed = Curve("observed", "observed", OBSERVED, 2.5, float("nan"), drop.seconds, heights)
     simulated: list[Curve] = []
     for k, step in enumerate(steps):
         assert step.look is not None
@@ -84,9 +87,10 @@ def story_of(tuning: Tuning) -> Story:
         value = float(step.values[0])
         width = 3.0 if k == len(steps) - 1 else 1.2
         is_refined = tuning.refined is not None and k == len(steps) - 1
-        label = f"{'refined' if is_refined else f'k={k}'}  e={value:.4f}"
+        name = "refined" if is_refined else f"k={k}"
+        label = f"{name}  e={value:.4f}"
         color = ramp(k, len(steps))
-        simulated.append(Curve(label, color, width, value, seconds[inside], heights[inside]))
+        simulated.append(Curve(name, label, color, width, value, seconds[inside], heights[inside]))
     return Story(
         observed=observed,
         simulated=tuple(simulated),
