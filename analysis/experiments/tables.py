@@ -1,0 +1,130 @@
+"""The experiments' results as tables for a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from analysis.experiments.published import ROLLOUTS as PUBLISHED_ROLLOUTS
+from analysis.experiments.results import ROLLOUTS, Cell, DropResults, Outcome
+
+_LABEL = 27
+_SPREAD_AT = (5, 10, 40)
+_AHEAD_AT = (5, 10)
+
+
+def drop_tables(results: DropResults) -> str:
+    """Every cell, who is ahead, and the ablation."""
+    blocks = [_protocol(results)]
+    compared = [cell for cell in results.cells if cell.experiment == "drop"]
+    blocks += [_cell_table(cell, results.of(cell)) for cell in compared]
+    if compared:
+        blocks.append(_ahead(results, compared))
+    ablation = [cell for cell in results.cells if cell.experiment == "ablation"]
+    blocks += [_cell_table(cell, results.of(cell)) for cell in ablation]
+    return "\n\n".join(blocks)
+
+
+def title(cell: Cell) -> str:
+    """A cell in words."""
+    what = "Ablation, " if cell.experiment == "ablation" else ""
+    simulator = "the paper's simulator" if cell.simulator == "paper" else "calibrated simulator"
+    noise = f", {100 * cell.noise_m:g} cm of noise on the target" if cell.noise_m else ""
+    return f"{what}{cell.which}, {simulator}{noise}"
+
+
+def short(error: float) -> str:
+    """An error in at most 7 characters: the paper's four places, or two digits if it is less."""
+    if error >= 0.00095:
+        return f"{error:.4f}"
+    return f"{error:.5f}" if error >= 0.000095 else f"{error:.1e}"
+
+
+def _protocol(results: DropResults) -> str:
+    first, last = results.seeds[0], results.seeds[-1]
+    seeds = f"seed {first}" if first == last else f"seeds {first} to {last}"
+    return (
+        f"Mean absolute error of the restitution after K rollouts; {seeds}, {results.targets} "
+        "targets each.\nIn brackets: the paper's. [lowest..highest]: of the seeds' means. "
+        "A dash: not run that far."
+    )
+
+
+def _cell_table(cell: Cell, outcomes: Sequence[Outcome]) -> str:
+    compared = cell.simulator == "paper" and not cell.noise_m and cell.experiment == "drop"
+    shown = [n for n in ROLLOUTS if any(one.knows(n) and one.budget >= n for one in outcomes)]
+    shown = shown or [ROLLOUTS[0]]
+    spread_at = [n for n in _SPREAD_AT if n in shown][:2] or shown[:1]
+    widths = [16 if compared and n in PUBLISHED_ROLLOUTS else 9 for n in shown]
+    head = ["method".ljust(_LABEL)]
+    head += [f"K={n}".ljust(width) for n, width in zip(shown, widths, strict=True)]
+    lines = [title(cell), "".join(head).rstrip()]
+    for one in outcomes:
+        cells = [_mean(one, n).ljust(width) for n, width in zip(shown, widths, strict=True)]
+        lines.append((f"{one.label:<{_LABEL}}" + "".join(cells)).rstrip())
+    head = ["  median [lowest..highest]".ljust(_LABEL)]
+    lines.append(("".join(head) + "".join(f"K={n}".ljust(28) for n in spread_at)).rstrip())
+    for one in outcomes:
+        cells = [_spread(one, n).ljust(28) for n in spread_at]
+        lines.append((f"{one.label:<{_LABEL}}" + "".join(cells)).rstrip())
+    return "\n".join(lines)
+
+
+def _mean(one: Outcome, rollouts: int) -> str:
+    if not one.knows(rollouts):
+        return "-"
+    figures = one.figures(rollouts)
+    paper = f" ({figures.paper:.4f})" if figures.paper is not None else ""
+    return short(figures.mae) + paper
+
+
+def _spread(one: Outcome, rollouts: int) -> str:
+    if not one.knows(rollouts):
+        return "-"
+    figures = one.figures(rollouts)
+    return f"{short(figures.median)} [{short(figures.lowest)}..{short(figures.highest)}]"
+
+
+def _ahead(results: DropResults, cells: Iterable[Cell]) -> str:
+    """Which method is best in each cell, and how ours at 5 rollouts compares with all others."""
+    lines = ["Who is ahead"]
+    for cell in cells:
+        outcomes = results.of(cell)
+        lines.append(f"  {title(cell)}")
+        for n in _AHEAD_AT:
+            best = _best(outcomes, n)
+            if best is not None:
+                lines.append(f"    at {n:>2}: {best.label}, {short(best.figures(n).mae)}")
+        lines += _ours_against_others(outcomes)
+    return "\n".join(lines)
+
+
+def _ours_against_others(outcomes: Sequence[Outcome]) -> list[str]:
+    ours = _best([one for one in outcomes if one.group == "ours"], _AHEAD_AT[0])
+    others = [one for one in outcomes if one.group != "ours"]
+    if ours is None:
+        return []
+    mine = ours.figures(_AHEAD_AT[0]).mae
+    lines = []
+    for n in _AHEAD_AT:
+        best = _best(others, n)
+        if best is not None:
+            theirs = best.figures(n).mae
+            lines.append(
+                f"    {ours.label} at {_AHEAD_AT[0]} ({short(mine)}): {_factor(mine, theirs)} "
+                f"{best.label} at {n} ({short(theirs)})"
+            )
+    return lines
+
+
+def _factor(mine: float, theirs: float) -> str:
+    if mine == theirs:
+        return "level with"
+    ahead = mine < theirs
+    less, more = sorted((mine, theirs))
+    times = f"{more / less:.2g} times" if less else "without error,"
+    return f"{times} {'ahead of' if ahead else 'behind'}"
+
+
+def _best(outcomes: Iterable[Outcome], rollouts: int) -> Outcome | None:
+    known = [one for one in outcomes if one.knows(rollouts)]
+    return min(known, key=lambda one: one.figures(rollouts).mae, default=None)
