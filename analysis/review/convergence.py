@@ -14,8 +14,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from analysis.experiments.curves import PANELS, ErrorCurve, error_curves
+from analysis.experiments.markdown import drop_markdown
 from analysis.experiments.results import DropResults
-from analysis.experiments.tables import drop_markdown
 from analysis.files import replacing
 from analysis.review.sending import entity_of
 
@@ -87,9 +87,13 @@ def _view(panel: str, curves: list[ErrorCurve]) -> rrb.View:
     return rrb.TimeSeriesView(
         origin=entity_of("error", panel),
         name=f"GT {panel}: log10 of the mean absolute error of the restitution",
-        axis_x=rrb.TimeAxis(link="Independent", view_range=rr.TimeRange(
-            start=rr.TimeRangeBoundary.absolute(seq=0), end=rr.TimeRangeBoundary.absolute(seq=101)
-        )),
+        axis_x=rrb.TimeAxis(
+            link="Independent",
+            view_range=rr.TimeRange(
+                start=rr.TimeRangeBoundary.absolute(seq=0),
+                end=rr.TimeRangeBoundary.absolute(seq=101),
+            ),
+        ),
         axis_y=rrb.ScalarAxis(range=reach),
         plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
     )

@@ -1,0 +1,40 @@
+"""Table 3 with everything that it needs trained first."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+from analysis.estimators.tunenet import TuneNet
+from analysis.experiments import drop_networks as nets
+from analysis.experiments.motion import OneStepTraining, Tuners, motion_table
+from analysis.experiments.motion_rows import MotionRow
+from tunenet_logs.progress import Progress
+
+
+def run_motion(
+    seeds: Sequence[int],
+    targets: int,
+    jobs: int | None,
+    progress: Progress,
+    epochs: int | None = None,
+    training: OneStepTraining | None = None,
+) -> tuple[MotionRow, ...]:
+    """Train the tuners and the one-step predictors of each seed, and measure them.
+
+    Args:
+        seeds: each trains its own networks and draws its own targets.
+        targets: test cases for each seed.
+        jobs: processes that simulate; None for all cores.
+        progress: shows what is under way.
+        epochs: of the tuners' training, in place of the recipe's, to try things out.
+        training: of the one-step predictors, likewise.
+    """
+    tuners = partial(_tuners, jobs=jobs, progress=progress, epochs=epochs)
+    return motion_table(seeds, targets, tuners, progress, training)
+
+
+def _tuners(seed: int, *, jobs: int | None, progress: Progress, epochs: int | None) -> Tuners:
+    wanted = (nets.PAPER_CODE, nets.ANTISYMMETRIC)
+    networks = nets.train_networks(wanted, seed, jobs, progress, epochs)
+    return Tuners(networks[nets.PAPER_CODE], TuneNet(networks[nets.ANTISYMMETRIC]))
