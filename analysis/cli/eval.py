@@ -97,13 +97,12 @@ def _eval(arguments: argparse.Namespace) -> int:
     seeds = tuple(range(arguments.first_seed, arguments.first_seed + arguments.seeds))
     evaluate = _drop if arguments.experiment == "drop" else _motion
     text, writers = evaluate(arguments, seeds, progress)
-    print(text)
+    print(text + "\n")
     for name in ("json", "csv", "png", "rrd"):
         path = getattr(arguments, name)
         if path is not None:
             writers[name](path)
-            what = f"rerun {one_line(path)}" if name == "rrd" else one_line(path)
-            print(f"{name}: {what}", file=sys.stderr)
+            print(f"{name}: {'rerun ' if name == 'rrd' else ''}{one_line(path)}")
     return 0
 
 

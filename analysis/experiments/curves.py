@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,11 +64,18 @@ class ErrorCurve:
 
 
 def error_curves(results: DropResults, panel: str) -> list[ErrorCurve]:
-    """The clean cell of a target set on the paper's simulator; beyond a budget a line goes on."""
+    """The clean cell of a target set on the paper's simulator; beyond a budget a line goes on.
+
+    Points that the paper gives for two methods of ours are the last one's.
+    """
     outcomes = results.of(Cell("drop", "paper", panel, 0.0))
     colors = _colors(outcomes)
     most = max((one.allowed for one in outcomes), default=0)
-    return [_curve(one, max(most, 1), colors[one.method]) for one in outcomes]
+    curves = [_curve(one, max(most, 1), colors[one.method]) for one in outcomes]
+    last = {curve.paper: curve.method for curve in curves}
+    return [
+        curve if last[curve.paper] == curve.method else replace(curve, paper=()) for curve in curves
+    ]
 
 
 def _curve(one: Outcome, most: int, color: Color) -> ErrorCurve:

@@ -50,9 +50,9 @@ _ABLATION = {
     "antisymmetric": _Needs((nets.ANTISYMMETRIC,)),
 }
 _ABLATION_LABELS = {
-    "concatenation": "both outputs, side by side (the paper's)",
-    "difference": "their difference",
-    "antisymmetric": "side by side, antisymmetric",
+    "concatenation": "Side by side (the paper's)",
+    "difference": "Difference",
+    "antisymmetric": "Side by side, antisymmetric",
 }
 _ALL: Mapping[str, _Needs] = {**_PAPERS, **_USERS, **_OURS, **_ABLATION}
 

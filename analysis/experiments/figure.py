@@ -33,7 +33,7 @@ def write_figure(results: DropResults, path: Path) -> None:
         for curve in error_curves(results, panel):
             handles[curve.label] = _draw(axis, curve)
         _dress(axis, panel)
-    axes[0].set_ylabel("mean absolute error of the restitution")
+    axes[0].set_ylabel(f"mean absolute error of the restitution (less than {FLOOR:g} drawn there)")
     handles["the paper's"] = axes[0].plot([], [], "D", color="0.3", ms=5, mew=0)[0]
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=4)
     with replacing(path) as partial:
@@ -44,8 +44,7 @@ def _draw(axis: Any, curve: ErrorCurve) -> Any:
     color = tuple(part / 255 for part in curve.color)
     axis.fill_between(curve.rollouts, curve.low, curve.high, color=color, alpha=0.15, lw=0)
     for rollouts, error in curve.paper:
-        if not curve.method.endswith("-code"):  # the same points as those of its text
-            axis.plot(rollouts, error, "D", color=color, ms=5, mew=0, zorder=4)
+        axis.plot(rollouts, error, "D", color=color, ms=5, mew=0, zorder=4)
     style = {"lw": 2.6, "zorder": 5} if curve.is_ours else {"lw": 1.5}
     return axis.plot(
         curve.rollouts, curve.mean, "--" if curve.is_users else "-", color=color, **style

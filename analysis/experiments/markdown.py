@@ -11,14 +11,13 @@ from analysis.experiments.tables import short, title
 def drop_markdown(results: DropResults) -> str:
     """A table for each cell: mean absolute error after K rollouts, the paper's in brackets."""
     seeds = ", ".join(str(seed) for seed in results.seeds)
-    parts = [
+    head = (
         "# Restitution from the ball's height\n\n"
         f"Mean absolute error after K rollouts, mean over seeds {seeds}, {results.targets} targets "
         "each; in brackets the paper's."
-    ]
-    for cell in results.cells:
-        parts.append(f"## {title(cell)}\n\n{_table(results.of(cell))}")
-    return "\n\n".join(parts)
+    )
+    tables = [f"## {title(cell)}\n\n{_table(results.of(cell))}" for cell in results.cells]
+    return "\n\n".join([head, *tables])
 
 
 def _table(outcomes: Sequence[Outcome]) -> str:

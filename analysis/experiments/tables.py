@@ -7,7 +7,6 @@ from collections.abc import Iterable, Sequence
 from analysis.experiments.published import ROLLOUTS as PUBLISHED_ROLLOUTS
 from analysis.experiments.results import ROLLOUTS, Cell, DropResults, Outcome
 
-_LABEL = 27
 _SPREAD_AT = (5, 10, 40)
 _AHEAD_AT = (5, 10)
 
@@ -50,23 +49,25 @@ def _protocol(results: DropResults) -> str:
 
 
 def _cell_table(cell: Cell, outcomes: Sequence[Outcome]) -> str:
-    compared = cell.simulator == "paper" and not cell.noise_m and cell.experiment == "drop"
+    """Means, the paper's beside them, and below the medians and the spread over the seeds."""
+    compared = any(one.figures(1).paper for one in outcomes if one.knows(1))
     shown = [n for n in ROLLOUTS if any(one.knows(n) and one.budget >= n for one in outcomes)]
     shown = shown or [ROLLOUTS[0]]
     spread_at = [n for n in _SPREAD_AT if n in shown][:2] or shown[:1]
-    widths = [16 if compared and n in PUBLISHED_ROLLOUTS else 9 for n in shown]
-    head = ["method".ljust(_LABEL)]
-    head += [f"K={n}".ljust(width) for n, width in zip(shown, widths, strict=True)]
-    lines = [title(cell), "".join(head).rstrip()]
-    for one in outcomes:
-        cells = [_mean(one, n).ljust(width) for n, width in zip(shown, widths, strict=True)]
-        lines.append((f"{one.label:<{_LABEL}}" + "".join(cells)).rstrip())
-    head = ["  median [lowest..highest]".ljust(_LABEL)]
-    lines.append(("".join(head) + "".join(f"K={n}".ljust(28) for n in spread_at)).rstrip())
-    for one in outcomes:
-        cells = [_spread(one, n).ljust(28) for n in spread_at]
-        lines.append((f"{one.label:<{_LABEL}}" + "".join(cells)).rstrip())
-    return "\n".join(lines)
+    label = 2 + max(len(one.label) for one in outcomes)
+    widths = [label, *(16 if compared and n in PUBLISHED_ROLLOUTS else 9 for n in shown)]
+    rows = [["mean", *(f"K={n}" for n in shown)]]
+    rows += [[one.label, *(_mean(one, n) for n in shown)] for one in outcomes]
+    spreads = [["median [lowest..highest]", *(f"K={n}" for n in spread_at)]]
+    spreads += [[one.label, *(_spread(one, n) for n in spread_at)] for one in outcomes]
+    lines = [_line(row, widths) for row in rows]
+    lines += [_line(row, [label, 30, 30]) for row in spreads]
+    return "\n".join([title(cell), *lines])
+
+
+def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
+    fitted = [cell.ljust(width) for cell, width in zip(cells, widths, strict=False)]
+    return ("  " + "".join(fitted)).rstrip()
 
 
 def _mean(one: Outcome, rollouts: int) -> str:

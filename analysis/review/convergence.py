@@ -59,7 +59,7 @@ def _log_curve(stream: rr.RecordingStream, panel: str, curve: ErrorCurve) -> Non
     )
     stream.log(entity, lines, static=True)
     _send(stream, entity, curve.rollouts, curve.mean)
-    if curve.paper and not curve.method.endswith("-code"):  # the same points as its text's
+    if curve.paper:
         marks = entity_of("error", panel, f"{curve.method} published")
         points = rr.SeriesPoints(
             colors=[curve.color],
