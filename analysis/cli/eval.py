@@ -14,6 +14,7 @@ from tunenet_logs.errors import UsageError
 from tunenet_logs.wording import one_line
 
 if TYPE_CHECKING:
+    from analysis.experiments.drop_networks import Effort
     from tunenet_logs.progress import Progress
 
 _DESCRIPTION = """\
@@ -79,7 +80,8 @@ def build_parser() -> Parser:
         "--csv", type=Path, metavar="FILE", help="one row for each method, budget and seed"
     )
     add("--quiet", action="store_true", help="no progress bar")
-    add("--epochs", type=whole(1, 1_000_000), help=argparse.SUPPRESS)  # to try things out
+    for name in ("--pairs", "--epochs"):  # of training, to try things out
+        add(name, type=whole(1, 1_000_000), help=argparse.SUPPRESS)
     return parser
 
 
@@ -125,7 +127,7 @@ def _drop(
     roster(methods)
     if arguments.png is not None:
         needed("matplotlib")
-    order = DropOrder(seeds, arguments.targets, methods, arguments.jobs, arguments.epochs)
+    order = DropOrder(seeds, arguments.targets, methods, arguments.jobs, _effort(arguments))
     results = run_drop(order, progress)
 
     def write_rrd(path: Path) -> None:
@@ -149,11 +151,17 @@ def _motion(
     from analysis.experiments.records import motion_csv, motion_json
 
     targets = arguments.targets
-    rows = run_motion(seeds, targets, arguments.jobs, progress, arguments.epochs)
+    rows = run_motion(seeds, targets, arguments.jobs, progress, _effort(arguments))
     return motion_lines(rows, seeds, targets), {
         "json": lambda path: _write(path, motion_json(rows, seeds, targets)),
         "csv": lambda path: _write(path, motion_csv(rows, seeds)),
     }
+
+
+def _effort(arguments: argparse.Namespace) -> Effort:
+    from analysis.experiments.drop_networks import Effort
+
+    return Effort(arguments.pairs, arguments.epochs)
 
 
 def _check(arguments: argparse.Namespace) -> None:

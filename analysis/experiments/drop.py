@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.experiments.drop_methods import Method
-from analysis.experiments.drop_networks import train_networks
+from analysis.experiments.drop_networks import Effort, train_networks
 from analysis.experiments.drop_roster import Table, roster
 from analysis.experiments.drop_targets import TARGET_SETS, DropTarget, TargetSet, draw_targets
 from analysis.experiments.results import Cell, DropResults, Group, Outcome
@@ -38,14 +38,14 @@ class DropOrder:
         targets: test cases for each seed, set and noise.
         methods: names of those that compete; None for all.
         jobs: processes; None for all cores.
-        epochs: of training, in place of the recipes', to try things out.
+        effort: of training, in place of the presets'.
     """
 
     seeds: tuple[int, ...]
     targets: int
     methods: tuple[str, ...] | None = None
     jobs: int | None = None
-    epochs: int | None = None
+    effort: Effort | None = None
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def run_drop(order: DropOrder, progress: Progress) -> DropResults:
     """
     chosen = roster(order.methods)
     networks = {
-        seed: train_networks(chosen.networks, seed, order.jobs, progress, order.epochs)
+        seed: train_networks(chosen.networks, seed, order.jobs, progress, order.effort)
         for seed in order.seeds
     }
     shares: list[Share] = []

@@ -41,12 +41,25 @@ _PLANS: Mapping[str, _Plan] = {
 NETWORKS = tuple(_PLANS)
 
 
+@dataclass(frozen=True)
+class Effort:
+    """How much training is done, where it is not the presets': to try things out.
+
+    Attributes:
+        pairs: training pairs.
+        epochs: passes over them.
+    """
+
+    pairs: int | None = None
+    epochs: int | None = None
+
+
 def train_networks(
     wanted: Collection[str],
     seed: int,
     jobs: int | None,
     progress: Progress,
-    epochs: int | None = None,
+    effort: Effort | None = None,
 ) -> Networks:
     """Train what is wanted, all of it on the same 800 pairs of the paper's simulator.
 
@@ -55,17 +68,18 @@ def train_networks(
         seed: of the pairs and of training; the test targets are drawn from other seeds.
         jobs: processes that simulate; None for all cores.
         progress: shows how far it is.
-        epochs: in place of the recipes', to try things out.
+        effort: in place of the presets'.
     """
     if not wanted:
         return {}
-    pairs = PRESETS["paper-code"].make_pairs(None, seed, jobs, progress)
+    effort = effort or Effort()
+    pairs = PRESETS["paper-code"].make_pairs(effort.pairs, seed, jobs, progress)
     trained: dict[str, Model] = {}
     for name, plan in _PLANS.items():
         if name in wanted:
             recipe = PRESETS[plan.preset].recipe
-            if epochs is not None:
-                recipe = replace(recipe, epochs=epochs)
+            if effort.epochs is not None:
+                recipe = replace(recipe, epochs=effort.epochs)
             trained[name] = train(plan.network, _seen(name, pairs), recipe, seed, progress)
     return trained
 

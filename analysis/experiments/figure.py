@@ -33,7 +33,7 @@ def write_figure(results: DropResults, path: Path) -> None:
         for curve in error_curves(results, panel):
             handles[curve.label] = _draw(axis, curve)
         _dress(axis, panel)
-    axes[0].set_ylabel(f"mean absolute error of the restitution (less than {FLOOR:g} drawn there)")
+    axes[0].set_ylabel(f"mean absolute error of the restitution (drawn from {FLOOR:g} up)")
     handles["the paper's"] = axes[0].plot([], [], "D", color="0.3", ms=5, mew=0)[0]
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=4)
     with replacing(path) as partial:

@@ -17,7 +17,7 @@ def run_motion(
     targets: int,
     jobs: int | None,
     progress: Progress,
-    epochs: int | None = None,
+    effort: nets.Effort | None = None,
     training: OneStepTraining | None = None,
 ) -> tuple[MotionRow, ...]:
     """Train the tuners and the one-step predictors of each seed, and measure them.
@@ -27,14 +27,16 @@ def run_motion(
         targets: test cases for each seed.
         jobs: processes that simulate; None for all cores.
         progress: shows what is under way.
-        epochs: of the tuners' training, in place of the recipe's, to try things out.
+        effort: of the tuners' training, in place of the presets'.
         training: of the one-step predictors, likewise.
     """
-    tuners = partial(_tuners, jobs=jobs, progress=progress, epochs=epochs)
+    tuners = partial(_tuners, jobs=jobs, progress=progress, effort=effort)
     return motion_table(seeds, targets, tuners, progress, training)
 
 
-def _tuners(seed: int, *, jobs: int | None, progress: Progress, epochs: int | None) -> Tuners:
+def _tuners(
+    seed: int, *, jobs: int | None, progress: Progress, effort: nets.Effort | None
+) -> Tuners:
     wanted = (nets.PAPER_CODE, nets.ANTISYMMETRIC)
-    networks = nets.train_networks(wanted, seed, jobs, progress, epochs)
+    networks = nets.train_networks(wanted, seed, jobs, progress, effort)
     return Tuners(networks[nets.PAPER_CODE], TuneNet(networks[nets.ANTISYMMETRIC]))

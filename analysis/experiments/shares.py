@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
@@ -77,7 +76,7 @@ def work_all(shares: Sequence[Share], jobs: int | None, progress: Progress) -> l
     total = sum(len(share.targets) for share in shares)
     results: dict[int, Array] = {}
     with progress.bar(total, "estimating", "target") as bar, _pool(jobs) as pool:
-        with _interrupts_ignored():  # by the workers, which inherit it: this process ends them
+        with _interrupts_held():  # this process ends its workers, quietly
             futures = {pool.submit(errors_of, share): at for at, share in enumerate(shares)}
         for future in as_completed(futures):
             at = futures[future]
@@ -113,12 +112,10 @@ def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
 
 
 @contextmanager
-def _interrupts_ignored() -> Iterator[None]:
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _interrupts_held() -> Iterator[None]:
+    """What is started here never sees Ctrl-C; this process does, as soon as it may."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

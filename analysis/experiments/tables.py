@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from analysis.experiments.published import ROLLOUTS as PUBLISHED_ROLLOUTS
 from analysis.experiments.results import ROLLOUTS, Cell, DropResults, Outcome
 
+_SPREAD = "median [lowest..highest]"
 _SPREAD_AT = (5, 10, 40)
 _AHEAD_AT = (5, 10)
 
@@ -54,11 +55,11 @@ def _cell_table(cell: Cell, outcomes: Sequence[Outcome]) -> str:
     shown = [n for n in ROLLOUTS if any(one.knows(n) and one.budget >= n for one in outcomes)]
     shown = shown or [ROLLOUTS[0]]
     spread_at = [n for n in _SPREAD_AT if n in shown][:2] or shown[:1]
-    label = 2 + max(len(one.label) for one in outcomes)
-    widths = [label, *(16 if compared and n in PUBLISHED_ROLLOUTS else 9 for n in shown)]
-    rows = [["mean", *(f"K={n}" for n in shown)]]
+    label = 2 + max(len(_SPREAD), *(len(one.label) for one in outcomes))
+    widths = [label, *(15 if compared and n in PUBLISHED_ROLLOUTS else 8 for n in shown)]
+    rows = [["mean error", *(f"K={n}" for n in shown)]]
     rows += [[one.label, *(_mean(one, n) for n in shown)] for one in outcomes]
-    spreads = [["median [lowest..highest]", *(f"K={n}" for n in spread_at)]]
+    spreads = [[_SPREAD, *(f"K={n}" for n in spread_at)]]
     spreads += [[one.label, *(_spread(one, n) for n in spread_at)] for one in outcomes]
     lines = [_line(row, widths) for row in rows]
     lines += [_line(row, [label, 30, 30]) for row in spreads]
@@ -67,14 +68,14 @@ def _cell_table(cell: Cell, outcomes: Sequence[Outcome]) -> str:
 
 def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
     fitted = [cell.ljust(width) for cell, width in zip(cells, widths, strict=False)]
-    return ("  " + "".join(fitted)).rstrip()
+    return "".join(fitted).rstrip()
 
 
 def _mean(one: Outcome, rollouts: int) -> str:
     if not one.knows(rollouts):
         return "-"
     figures = one.figures(rollouts)
-    paper = f" ({figures.paper:.4f})" if figures.paper is not None else ""
+    paper = f" ({figures.paper:.4f})".replace("0.", ".") if figures.paper is not None else ""
     return short(figures.mae) + paper
 
 

@@ -22,6 +22,9 @@ from analysis.review.sending import entity_of
 ROLLOUTS = "rollouts"
 """Its timeline: what a method has been allowed so far."""
 
+_LEGEND_ENDS = 150
+"""The curves end at 100; the legend stands beside them."""
+
 
 def write_convergence(results: DropResults, path: Path) -> None:
     """Write the recording of an experiment to `path` (.rrd).
@@ -63,7 +66,7 @@ def _log_curve(stream: rr.RecordingStream, panel: str, curve: ErrorCurve) -> Non
         marks = entity_of("error", panel, f"{curve.method} published")
         points = rr.SeriesPoints(
             colors=[curve.color],
-            names=[f"{curve.label} (published)"],
+            names=[f"{curve.label} (paper)"],
             markers=["diamond"],
             marker_sizes=[5.0],
         )
@@ -84,16 +87,11 @@ def _send(
 def _view(panel: str, curves: list[ErrorCurve]) -> rrb.View:
     lowest = min(float(curve.mean.min()) for curve in curves)
     reach = (float(np.log10(lowest)) - 0.3, 0.0)
+    start, end = (rr.TimeRangeBoundary.absolute(seq=at) for at in (0, _LEGEND_ENDS))
     return rrb.TimeSeriesView(
         origin=entity_of("error", panel),
-        name=f"GT {panel}: log10 of the mean absolute error of the restitution",
-        axis_x=rrb.TimeAxis(
-            link="Independent",
-            view_range=rr.TimeRange(
-                start=rr.TimeRangeBoundary.absolute(seq=0),
-                end=rr.TimeRangeBoundary.absolute(seq=101),
-            ),
-        ),
+        name=f"GT {panel}: log10 of the mean absolute error, by rollouts",
+        axis_x=rrb.TimeAxis(link="Independent", view_range=rr.TimeRange(start=start, end=end)),
         axis_y=rrb.ScalarAxis(range=reach),
         plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
     )
@@ -101,9 +99,9 @@ def _view(panel: str, curves: list[ErrorCurve]) -> rrb.View:
 
 def _blueprint(views: list[rrb.View]) -> rrb.Blueprint:
     words = rrb.TextDocumentView(origin="/results", name="results")
-    plots = rrb.Vertical(*views)
+    plots = rrb.Horizontal(*views)
     return rrb.Blueprint(
-        rrb.Horizontal(plots, words, column_shares=[3, 2]) if views else words,
+        rrb.Vertical(plots, words, row_shares=[3, 2]) if views else words,
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
         rrb.TimePanel(state="collapsed", timeline=ROLLOUTS),
