@@ -113,7 +113,9 @@ def _outcome(one: _Round, method: Method, parts: Sequence[Array], order: DropOrd
 
 def _rounds() -> list[_Round]:
     rounds = []
-    for table, contact in (("paper", PAPER), ("calibrated", CALIBRATED)):
+    simulators: tuple[tuple[Table, ContactSettings], ...]
+    simulators = (("paper", PAPER), ("calibrated", CALIBRATED))
+    for table, contact in simulators:
         for noise_m, most in ((0.0, _MOST), (NOISE_M, _MOST_NOISY)):
             for which in TARGET_SETS:
                 cell = Cell("drop", table, which.name, noise_m)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 from analysis.estimators.tunenet import TuneNet
@@ -18,7 +19,6 @@ def run_motion(
     jobs: int | None,
     progress: Progress,
     effort: nets.Effort | None = None,
-    training: OneStepTraining | None = None,
 ) -> tuple[MotionRow, ...]:
     """Train the tuners and the one-step predictors of each seed, and measure them.
 
@@ -27,16 +27,26 @@ def run_motion(
         targets: test cases for each seed.
         jobs: processes that simulate; None for all cores.
         progress: shows what is under way.
-        effort: of the tuners' training, in place of the presets'.
-        training: of the one-step predictors, likewise.
+        effort: of all training, in place of the presets'; a pair is a drop to those that predict.
     """
+    effort = effort or nets.Effort()
     tuners = partial(_tuners, jobs=jobs, progress=progress, effort=effort)
-    return motion_table(seeds, targets, tuners, progress, training)
+    return motion_table(seeds, targets, tuners, progress, _one_step_training(effort))
 
 
-def _tuners(
-    seed: int, *, jobs: int | None, progress: Progress, effort: nets.Effort | None
-) -> Tuners:
+def _tuners(seed: int, *, jobs: int | None, progress: Progress, effort: nets.Effort) -> Tuners:
     wanted = (nets.PAPER_CODE, nets.ANTISYMMETRIC)
     networks = nets.train_networks(wanted, seed, jobs, progress, effort)
     return Tuners(networks[nets.PAPER_CODE], TuneNet(networks[nets.ANTISYMMETRIC]))
+
+
+def _one_step_training(effort: nets.Effort) -> OneStepTraining:
+    training = OneStepTraining()
+    if effort.pairs is not None:
+        training = replace(training, drops=effort.pairs)
+    if effort.epochs is not None:
+        neural = replace(training.neural, epochs=effort.epochs)
+        training = replace(
+            training, neural=neural, vrnn=replace(training.vrnn, epochs=effort.epochs)
+        )
+    return training

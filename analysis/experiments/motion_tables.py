@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from textwrap import wrap
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,31 +11,35 @@ import numpy as np
 if TYPE_CHECKING:
     from analysis.experiments.motion_rows import MotionRow
 
-_LABEL = 18
-_PROTOCOL = 16
+_WIDTHS = (18, 5, 16, 32, 0)
+_WIDEST = 98
 
 
 def motion_lines(rows: Sequence[MotionRow], seeds: Sequence[int], targets: int) -> str:
     """The table: percent and centimetres, mean over the seeds and [lowest..highest] of them."""
     drawn = f"seed {seeds[0]}" if len(seeds) == 1 else f"seeds {seeds[0]} to {seeds[-1]}"
+    notes = list(dict.fromkeys(row.note for row in rows if row.note))
     lines = [
         f"Error of the predicted height of the ball, Easy; {drawn}, {targets} targets each.",
         "In brackets: the paper's. [lowest..highest]: of the seeds. A dash: not measured.",
-        f"{'method':<{_LABEL}}{'given':<{_PROTOCOL}}{'error, %':<33}error, cm",
+        "",
+        _line(("method", "note", "given", "error, %", "error, cm")),
     ]
-    notes = []
     for row in rows:
-        mark = ""
-        if row.note:
-            notes.append(row.note)
-            mark = f" *{len(notes)}"
-        percent = _figure(
-            [one.percent for one in row.ours or ()], row.paper.percent if row.paper else None
-        )
-        cm = _figure([one.cm for one in row.ours or ()], row.paper.cm if row.paper else None)
-        lines.append(f"{row.label:<{_LABEL}}{row.protocol:<{_PROTOCOL}}{percent:<33}{cm}{mark}")
-    lines += [f"*{index} {note}" for index, note in enumerate(notes, start=1)]
+        ours, paper = row.ours or (), row.paper
+        mark = str(notes.index(row.note) + 1) if row.note else ""
+        percent = _figure([one.percent for one in ours], paper and paper.percent)
+        cm = _figure([one.cm for one in ours], paper and paper.cm)
+        lines.append(_line((row.label, mark, row.protocol, percent, cm)))
+    lines.append("")
+    for index, note in enumerate(notes, start=1):
+        lines += wrap(f"{index}: {note}", _WIDEST, subsequent_indent="   ")
     return "\n".join(lines)
+
+
+def _line(cells: Sequence[str]) -> str:
+    fitted = [cell.ljust(width) for cell, width in zip(cells, _WIDTHS, strict=True)]
+    return "".join(fitted).rstrip()
 
 
 def _figure(ours: Sequence[float], paper: float | None) -> str:
@@ -46,4 +51,4 @@ def _figure(ours: Sequence[float], paper: float | None) -> str:
 
 
 def _short(value: float) -> str:
-    return f"{value:.2f}" if value >= 0.995 else f"{value:.2g}"
+    return f"{value:.2f}" if value >= 0.995 else f"{value:#.2g}"

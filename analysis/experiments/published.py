@@ -1,9 +1,11 @@
-"""What the paper reports of its second experiment: tables 2 and 3 of Allevato et al. 2019."""
+"""What the paper reports of its second experiment: table 2 of Allevato et al. 2019.
+
+Table 3 stands in the rows of `motion_rows`.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 ROLLOUTS = (1, 5, 10, 100)
 """The columns of table 2, K."""
@@ -51,22 +53,3 @@ def published_error(which: str, method: str, rollouts: int) -> float | None:
     if row is None or rollouts not in ROLLOUTS:
         return None
     return row[ROLLOUTS.index(rollouts)]
-
-
-@dataclass(frozen=True)
-class PublishedMotion:
-    """A row of table 3: the error of the predicted height of the ball."""
-
-    label: str
-    percent: float
-    cm: float
-
-
-TABLE_3 = (
-    PublishedMotion("Zero (inelastic)", 100.0, 97.0),
-    PublishedMotion("Un-tuned physics", 20.57, 13.8),
-    PublishedMotion("Neural", 9.16, 5.8),
-    PublishedMotion("VRNN hybrid", 2.42, 1.6),
-    PublishedMotion("TuneNet (Obs)", 6.03, 5.7),
-    PublishedMotion("TuneNet (GT)", 1.08, 0.7),
-)
