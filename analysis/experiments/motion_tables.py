@@ -11,7 +11,7 @@ import numpy as np
 if TYPE_CHECKING:
     from analysis.experiments.motion_rows import MotionRow
 
-_WIDTHS = (18, 5, 16, 32, 0)
+_WIDTHS = (17, 5, 15, 32, 0)
 _WIDEST = 98
 
 
