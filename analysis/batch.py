@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 
+from analysis.files import PARTIAL, replacing
 from analysis.report import Row, row_of, to_json
 from analysis.review import write_review
 from analysis.tuning import Options, Tuning, tune_log
@@ -20,8 +20,6 @@ from tunenet_logs.errors import LogError, UsageError, WeightsError
 from tunenet_logs.formats.opening import is_folder
 from tunenet_logs.output.log_place import ACTIVE_SUFFIX
 from tunenet_logs.progress import Progress
-
-_PARTIAL = ".partial"
 
 
 @dataclass(frozen=True)
@@ -104,28 +102,17 @@ def _one(log: Path, options: Options, name: Path) -> Result:
             episode = tuning.episode
             if episode is not None and (episode.signals or episode.picture_topics):
                 review = recording
-                with _replacing(review) as partial:
+                with replacing(review) as partial:
                     write_review(tuning, partial)
-            with _replacing(report) as partial:
+            with replacing(report) as partial:
                 partial.write_text(to_json(tuning), "utf-8", errors="backslashreplace")
     except (OSError, UnicodeError) as error:  # the latter for a name that Rerun cannot take
         place, why = name.parent, "its name is not UTF-8"
         if isinstance(error, OSError):
-            place, why = str(error.filename or place).removesuffix(_PARTIAL), error.strerror
+            place, why = str(error.filename or place).removesuffix(PARTIAL), error.strerror
         trouble = f"{place}: cannot be written ({why}); choose another folder with -o"
         return Result(row_of(tuning), None, trouble)
     return Result(row_of(tuning), review)
-
-
-@contextmanager
-def _replacing(path: Path) -> Iterator[Path]:
-    """Write to a file beside `path` that takes its name once it is whole."""
-    partial = path.with_name(path.name + _PARTIAL)
-    try:
-        yield partial
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def _results(name: Path) -> tuple[Path, Path]:

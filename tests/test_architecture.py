@@ -17,6 +17,7 @@ ALLOWED = {
     "analysis": {"tunenet_logs", "recorders", "analysis"},
 }
 HEAVY = {"torch", "pybullet", "rerun", "cv2", "av", "pinocchio", "pandas", "tqdm", "google"}
+HEAVY |= {"cma", "optuna", "sklearn", "matplotlib"}
 OWNERS = {"rerun": "analysis/review/"}
 FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 
@@ -88,7 +89,14 @@ def test_no_module_imports_itself_through_others():
 
 
 @pytest.mark.parametrize(
-    "module", ["tunenet_logs.cli", "recorders.cli", "analysis.cli.tune", "analysis.cli.train"]
+    "module",
+    [
+        "tunenet_logs.cli",
+        "recorders.cli",
+        "analysis.cli.tune",
+        "analysis.cli.train",
+        "analysis.cli.eval",
+    ],
 )
 def test_help_loads_nothing_heavy(module: str):
     code = (

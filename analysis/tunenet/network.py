@@ -44,18 +44,18 @@ class PaperNetwork:
     def shapes(self, inputs: int, outputs: int) -> dict[str, tuple[int, ...]]:
         """See `Network.shapes`."""
         return {
-            **_layer("proposed", inputs, self.width),
-            **_layer("target", inputs, self.width),
-            **_layer("joint", 2 * self.width, self.width),
-            **_layer("out", self.width, outputs),
+            **layer("proposed", inputs, self.width),
+            **layer("target", inputs, self.width),
+            **layer("joint", 2 * self.width, self.width),
+            **layer("out", self.width, outputs),
         }
 
     def residual(self, weights: Weights, proposed: Any, target: Any) -> Any:
         """See `Network.residual`."""
-        of_proposed = _relu(_linear(weights, "proposed", proposed))
-        of_target = _relu(_linear(weights, "target", target))
-        joint = _relu(_joint(weights, "joint", of_proposed, of_target))
-        return _tanh(_linear(weights, "out", joint))
+        of_proposed = relu(linear(weights, "proposed", proposed))
+        of_target = relu(linear(weights, "target", target))
+        joint = relu(_joint(weights, "joint", of_proposed, of_target))
+        return tanh(linear(weights, "out", joint))
 
 
 class AntisymmetricNetwork:
@@ -72,18 +72,18 @@ class AntisymmetricNetwork:
     def shapes(self, inputs: int, outputs: int) -> dict[str, tuple[int, ...]]:
         """See `Network.shapes`."""
         return {
-            **_layer("curve", inputs, self.width),
-            **_layer("joint", 2 * self.width, self.width),
-            **_layer("out", self.width, outputs),
+            **layer("curve", inputs, self.width),
+            **layer("joint", 2 * self.width, self.width),
+            **layer("out", self.width, outputs),
         }
 
     def residual(self, weights: Weights, proposed: Any, target: Any) -> Any:
         """See `Network.residual`."""
-        of_proposed = _relu(_linear(weights, "curve", proposed))
-        of_target = _relu(_linear(weights, "curve", target))
-        forth = _relu(_joint(weights, "joint", of_proposed, of_target))
-        back = _relu(_joint(weights, "joint", of_target, of_proposed))
-        return (_linear(weights, "out", forth) - _linear(weights, "out", back)) / 2
+        of_proposed = relu(linear(weights, "curve", proposed))
+        of_target = relu(linear(weights, "curve", target))
+        forth = relu(_joint(weights, "joint", of_proposed, of_target))
+        back = relu(_joint(weights, "joint", of_target, of_proposed))
+        return (linear(weights, "out", forth) - linear(weights, "out", back)) / 2
 
 
 NETWORKS: dict[str, Network] = {
@@ -146,11 +146,13 @@ def initial_weights(
     return weights
 
 
-def _layer(name: str, inputs: int, outputs: int) -> dict[str, tuple[int, ...]]:
+def layer(name: str, inputs: int, outputs: int) -> dict[str, tuple[int, ...]]:
+    """Shapes of a linear layer's weights."""
     return {f"{name}.weight": (inputs, outputs), f"{name}.bias": (outputs,)}
 
 
-def _linear(weights: Weights, name: str, values: Any) -> Any:
+def linear(weights: Weights, name: str, values: Any) -> Any:
+    """A linear layer, of a batch of shape (B, inputs)."""
     return values @ weights[f"{name}.weight"] + weights[f"{name}.bias"]
 
 
@@ -161,9 +163,11 @@ def _joint(weights: Weights, name: str, first: Any, second: Any) -> Any:
     return first @ matrix[:half] + second @ matrix[half:] + weights[f"{name}.bias"]
 
 
-def _relu(values: Any) -> Any:
+def relu(values: Any) -> Any:
+    """max(values, 0), of an array or a tensor."""
     return values.clip(min=0)
 
 
-def _tanh(values: Any) -> Any:
+def tanh(values: Any) -> Any:
+    """Of an array or a tensor."""
     return np.tanh(values) if isinstance(values, np.ndarray) else values.tanh()

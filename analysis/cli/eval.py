@@ -1,0 +1,195 @@
+"""tunenet-eval: the paper's experiments, its figures beside ours."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from analysis.cli.options import jobs_option
+from tunenet_logs.commandline import Parser, run, whole
+from tunenet_logs.errors import UsageError
+from tunenet_logs.wording import one_line
+
+if TYPE_CHECKING:
+    from analysis.experiments.drop_networks import Effort
+    from tunenet_logs.progress import Progress
+
+_DESCRIPTION = """\
+Repeat an experiment of the TuneNet paper from nothing, training and test targets drawn
+anew for each seed, and print its figures beside the paper's.
+
+  drop    restitution of a bouncing ball from its height: every method of the paper,
+          what a user would pick instead, and ours, by rollouts spent (table 2, figure)
+  motion  where the ball will be: tuned simulators and one-step predictors (table 3)
+
+Needs the libraries of the extra 'eval': pip install 'tunenet-logs[eval]'."""
+
+_EXAMPLES = """\
+  tunenet-eval drop                                  (half an hour on two cores)
+  tunenet-eval drop --seeds 1 --targets 20           (a minute or two)
+  tunenet-eval drop --methods mean,secant,tunenet-paper-code --seeds 1
+  tunenet-eval drop --json drop.json --csv drop.csv --png drop.png --rrd drop.rrd
+  tunenet-eval motion --json motion.json"""
+
+_ONLY_DROP = ("methods", "png", "rrd")
+
+
+def build_parser() -> Parser:
+    """The command's arguments."""
+    parser = Parser("tunenet-eval", _DESCRIPTION, _EXAMPLES)
+    add = parser.add_argument
+    add("experiment", choices=["drop", "motion"], help="which experiment")
+    add(
+        "--seeds",
+        type=whole(1, 1000),
+        default=3,
+        metavar="N",
+        help="how many, each with its own training and targets (default: 3)",
+    )
+    add(
+        "--first-seed",
+        type=whole(0, 1_000_000),
+        default=1,
+        metavar="N",
+        help="the first of them (default: 1)",
+    )
+    add(
+        "--targets",
+        type=whole(1, 100_000),
+        default=100,
+        metavar="N",
+        help="test targets for each seed and set (default: 100, as in the paper)",
+    )
+    jobs_option(parser, "processes")
+    drop = parser.add_argument_group("drop only")
+    drop.add_argument(
+        "--methods", metavar="A,B,...", help="only these (a wrong name lists those there are)"
+    )
+    drop.add_argument(
+        "--png", type=Path, metavar="FILE", help="the figure: error against rollouts, as a picture"
+    )
+    drop.add_argument(
+        "--rrd", type=Path, metavar="FILE", help="the figure for Rerun, with the tables"
+    )
+    files = parser.add_argument_group("files (replaced if they exist)")
+    files.add_argument("--json", type=Path, metavar="FILE", help="every figure, and the curves")
+    files.add_argument(
+        "--csv", type=Path, metavar="FILE", help="one row for each method, budget and seed"
+    )
+    add("--quiet", action="store_true", help="no progress bar")
+    for name in ("--pairs", "--epochs"):  # of training, to try things out
+        add(name, type=whole(1, 1_000_000), help=argparse.SUPPRESS)
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Entry point of `tunenet-eval`."""
+    return run(build_parser(), _eval, argv)
+
+
+def _eval(arguments: argparse.Namespace) -> int:
+    _check(arguments)
+
+    from tunenet_logs.progress import Progress
+
+    progress = Progress(quiet=arguments.quiet)
+    seeds = tuple(range(arguments.first_seed, arguments.first_seed + arguments.seeds))
+    evaluate = _drop if arguments.experiment == "drop" else _motion
+    text, writers = evaluate(arguments, seeds, progress)
+    print(text + "\n")
+    for name in ("json", "csv", "png", "rrd"):
+        path = getattr(arguments, name)
+        if path is not None:
+            writers[name](path)
+            print(f"{name}: {'rerun ' if name == 'rrd' else ''}{one_line(path)}")
+    return 0
+
+
+Writers = dict[str, Callable[[Path], None]]
+
+
+def _drop(
+    arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
+) -> tuple[str, Writers]:
+    from analysis.experiments.drop import DropOrder, run_drop
+    from analysis.experiments.drop_roster import roster
+    from analysis.experiments.extras import needed
+    from analysis.experiments.figure import write_figure
+    from analysis.experiments.records import drop_csv, drop_json
+    from analysis.experiments.tables import drop_tables
+
+    methods = None
+    if arguments.methods is not None:
+        methods = tuple(name.strip() for name in arguments.methods.split(","))
+    roster(methods)
+    if arguments.png is not None:
+        needed("matplotlib")
+    order = DropOrder(seeds, arguments.targets, methods, arguments.jobs, _effort(arguments))
+    results = run_drop(order, progress)
+
+    def write_rrd(path: Path) -> None:
+        from analysis.review.convergence import write_convergence
+
+        write_convergence(results, path)
+
+    return drop_tables(results), {
+        "json": lambda path: _write(path, drop_json(results)),
+        "csv": lambda path: _write(path, drop_csv(results)),
+        "png": lambda path: write_figure(results, path),
+        "rrd": write_rrd,
+    }
+
+
+def _motion(
+    arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
+) -> tuple[str, Writers]:
+    from analysis.experiments.motion_run import run_motion
+    from analysis.experiments.motion_tables import motion_lines
+    from analysis.experiments.records import motion_csv, motion_json
+
+    targets = arguments.targets
+    rows = run_motion(seeds, targets, arguments.jobs, progress, _effort(arguments))
+    return motion_lines(rows, seeds, targets), {
+        "json": lambda path: _write(path, motion_json(rows, seeds, targets)),
+        "csv": lambda path: _write(path, motion_csv(rows, seeds)),
+    }
+
+
+def _effort(arguments: argparse.Namespace) -> Effort:
+    from analysis.experiments.drop_networks import Effort
+
+    return Effort(arguments.pairs, arguments.epochs)
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    """Refuse at once what would fail after the work."""
+    if arguments.experiment != "drop":
+        for name in _ONLY_DROP:
+            if getattr(arguments, name) is not None:
+                raise UsageError(f"--{name} is for drop, not {arguments.experiment}; leave it out")
+
+    from analysis.files import check_writable
+
+    taken: dict[Path, str] = {}
+    for name in ("json", "csv", "png", "rrd"):
+        path = getattr(arguments, name)
+        if path is None:
+            continue
+        other = taken.setdefault(path.resolve(), name)
+        if other != name:
+            raise UsageError(f"{path}: both --{other} and --{name} name it; give each its own")
+        check_writable(path, f"--{name}")
+
+
+def _write(path: Path, text: str) -> None:
+    from analysis.files import replacing
+
+    with replacing(path) as partial:
+        partial.write_text(text, "utf-8")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,150 @@
+"""The experiments' results for other programs: JSON and CSV, one record a figure."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from analysis.experiments.results import ROLLOUTS, DropResults, Outcome
+
+if TYPE_CHECKING:
+    from analysis.experiments.motion_rows import MotionRow
+
+COLUMNS = (
+    "experiment",
+    "simulator",
+    "set",
+    "noise_m",
+    "method",
+    "rollouts",
+    "seed",
+    "mae",
+    "median",
+    "paper",
+)
+"""Of the CSV, in long form: one row for each method, budget and seed of each cell."""
+
+MOTION_COLUMNS = (
+    "experiment",
+    "method",
+    "protocol",
+    "seed",
+    "percent",
+    "cm",
+    "paper_percent",
+    "paper_cm",
+)
+
+
+def drop_rows(results: DropResults) -> list[dict[str, Any]]:
+    """One record for each cell, method, count of rollouts and seed; see `COLUMNS`."""
+    rows: list[dict[str, Any]] = []
+    for one in results.outcomes:
+        for n in filter(one.knows, ROLLOUTS):
+            paper = one.figures(n).paper
+            for seed, errors in zip(results.seeds, one.errors_after(n), strict=True):
+                figures = {"mae": float(errors.mean()), "median": float(np.median(errors))}
+                rows.append({**_keys(one, n), "seed": seed, **figures, "paper": paper})
+    return rows
+
+
+def drop_json(results: DropResults) -> str:
+    """Everything: figures over all seeds, those of each seed, and the curves of the figure."""
+    summary = []
+    curves = []
+    for one in results.outcomes:
+        for n in filter(one.knows, ROLLOUTS):
+            figures = one.figures(n)
+            summary.append(
+                {
+                    **_keys(one, n),
+                    "mae": figures.mae,
+                    "median": figures.median,
+                    "lowest": figures.lowest,
+                    "highest": figures.highest,
+                    "paper": figures.paper,
+                }
+            )
+        keys = {key: value for key, value in _keys(one, 0).items() if key != "rollouts"}
+        curves.append({**keys, "label": one.label, "mae": one.errors.mean(axis=1).tolist()})
+    return _json(
+        {
+            "experiment": "drop",
+            "seeds": list(results.seeds),
+            "targets": results.targets,
+            "summary": summary,
+            "rows": drop_rows(results),
+            "curves": curves,
+        }
+    )
+
+
+def drop_csv(results: DropResults) -> str:
+    """`drop_rows` as a table; an empty field where the paper has nothing."""
+    return _csv(COLUMNS, drop_rows(results))
+
+
+def motion_rows(rows: Sequence[MotionRow], seeds: Sequence[int]) -> list[dict[str, Any]]:
+    """One record for each row and seed; see `MOTION_COLUMNS`."""
+    records = []
+    for row in rows:
+        paper = {
+            "paper_percent": row.paper.percent if row.paper else None,
+            "paper_cm": row.paper.cm if row.paper else None,
+        }
+        keys = {"experiment": "motion", "method": row.name, "protocol": row.protocol}
+        measured = dict(zip(seeds, row.ours, strict=True)) if row.ours else {None: None}
+        for seed, one in measured.items():
+            ours = {"percent": one.percent if one else None, "cm": one.cm if one else None}
+            records.append({**keys, "seed": seed, **ours, **paper})
+    return records
+
+
+def motion_json(rows: Sequence[MotionRow], seeds: Sequence[int], targets: int) -> str:
+    """Everything: the rows of `motion_rows`, and what stands beside each."""
+    words = [
+        {"method": row.name, "label": row.label, "protocol": row.protocol, "note": row.note}
+        for row in rows
+    ]
+    return _json(
+        {
+            "experiment": "motion",
+            "seeds": list(seeds),
+            "targets": targets,
+            "methods": words,
+            "rows": motion_rows(rows, seeds),
+        }
+    )
+
+
+def motion_csv(rows: Sequence[MotionRow], seeds: Sequence[int]) -> str:
+    """`motion_rows` as a table; an empty field where there is no figure."""
+    return _csv(MOTION_COLUMNS, motion_rows(rows, seeds))
+
+
+def _keys(one: Outcome, rollouts: int) -> dict[str, Any]:
+    return {
+        "experiment": one.cell.experiment,
+        "simulator": one.cell.simulator,
+        "set": one.cell.which,
+        "noise_m": one.cell.noise_m,
+        "method": one.method,
+        "rollouts": rollouts,
+    }
+
+
+def _json(content: dict[str, Any]) -> str:
+    return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _csv(columns: tuple[str, ...], rows: list[dict[str, Any]]) -> str:
+    text = io.StringIO()
+    table = csv.DictWriter(text, columns, lineterminator="\n")
+    table.writeheader()
+    table.writerows(rows)
+    return text.getvalue()

@@ -1,0 +1,132 @@
+"""The experiments' results as tables for a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from analysis.experiments.published import ROLLOUTS as PUBLISHED_ROLLOUTS
+from analysis.experiments.results import ROLLOUTS, Cell, DropResults, Outcome
+
+_SPREAD = "median [lowest..highest]"
+_SPREAD_AT = (5, 10, 40)
+_AHEAD_AT = (5, 10)
+
+
+def drop_tables(results: DropResults) -> str:
+    """Every cell, who is ahead, and the ablation."""
+    blocks = [_protocol(results)]
+    compared = [cell for cell in results.cells if cell.experiment == "drop"]
+    blocks += [_cell_table(cell, results.of(cell)) for cell in compared]
+    if compared:
+        blocks.append(_ahead(results, compared))
+    ablation = [cell for cell in results.cells if cell.experiment == "ablation"]
+    blocks += [_cell_table(cell, results.of(cell)) for cell in ablation]
+    return "\n\n".join(blocks)
+
+
+def title(cell: Cell) -> str:
+    """A cell in words."""
+    what = "Ablation, " if cell.experiment == "ablation" else ""
+    simulator = "the paper's simulator" if cell.simulator == "paper" else "calibrated simulator"
+    noise = f", {100 * cell.noise_m:g} cm of noise on the target" if cell.noise_m else ""
+    return f"{what}{cell.which}, {simulator}{noise}"
+
+
+def short(error: float) -> str:
+    """An error in at most 7 characters: the paper's four places, or two digits if it is less."""
+    if error >= 0.00095:
+        return f"{error:.4f}"
+    return f"{error:.5f}" if error >= 0.000095 else f"{error:.1e}"
+
+
+def _protocol(results: DropResults) -> str:
+    first, last = results.seeds[0], results.seeds[-1]
+    seeds = f"seed {first}" if first == last else f"seeds {first} to {last}"
+    return (
+        f"Mean absolute error of the restitution after K rollouts; {seeds}, {results.targets} "
+        "targets each.\nIn brackets: the paper's. [lowest..highest]: of the seeds' means. "
+        "A dash: not run that far."
+    )
+
+
+def _cell_table(cell: Cell, outcomes: Sequence[Outcome]) -> str:
+    """Means, the paper's beside them, and below the medians and the spread over the seeds."""
+    compared = any(one.figures(1).paper for one in outcomes if one.knows(1))
+    shown = [n for n in ROLLOUTS if any(one.knows(n) and one.budget >= n for one in outcomes)]
+    shown = shown or [ROLLOUTS[0]]
+    spread_at = [n for n in _SPREAD_AT if n in shown][:2] or shown[:1]
+    label = 2 + max(len(_SPREAD), *(len(one.label) for one in outcomes))
+    widths = [label, *(15 if compared and n in PUBLISHED_ROLLOUTS else 8 for n in shown)]
+    rows = [["mean error", *(f"K={n}" for n in shown)]]
+    rows += [[one.label, *(_mean(one, n) for n in shown)] for one in outcomes]
+    spreads = [[_SPREAD, *(f"K={n}" for n in spread_at)]]
+    spreads += [[one.label, *(_spread(one, n) for n in spread_at)] for one in outcomes]
+    lines = [_line(row, widths) for row in rows]
+    lines += [_line(row, [label, 30, 30]) for row in spreads]
+    return "\n".join([title(cell), *lines])
+
+
+def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
+    fitted = [cell.ljust(width) for cell, width in zip(cells, widths, strict=False)]
+    return "".join(fitted).rstrip()
+
+
+def _mean(one: Outcome, rollouts: int) -> str:
+    if not one.knows(rollouts):
+        return "-"
+    figures = one.figures(rollouts)
+    paper = f" ({figures.paper:.4f})".replace("0.", ".") if figures.paper is not None else ""
+    return short(figures.mae) + paper
+
+
+def _spread(one: Outcome, rollouts: int) -> str:
+    if not one.knows(rollouts):
+        return "-"
+    figures = one.figures(rollouts)
+    return f"{short(figures.median)} [{short(figures.lowest)}..{short(figures.highest)}]"
+
+
+def _ahead(results: DropResults, cells: Iterable[Cell]) -> str:
+    """Which method is best in each cell, and how ours at 5 rollouts compares with all others."""
+    lines = ["Who is ahead"]
+    for cell in cells:
+        outcomes = results.of(cell)
+        lines.append(f"  {title(cell)}")
+        for n in _AHEAD_AT:
+            best = _best(outcomes, n)
+            if best is not None:
+                lines.append(f"    at {n:>2}: {best.label}, {short(best.figures(n).mae)}")
+        lines += _ours_against_others(outcomes)
+    return "\n".join(lines)
+
+
+def _ours_against_others(outcomes: Sequence[Outcome]) -> list[str]:
+    ours = _best([one for one in outcomes if one.group == "ours"], _AHEAD_AT[0])
+    others = [one for one in outcomes if one.group != "ours"]
+    if ours is None:
+        return []
+    mine = ours.figures(_AHEAD_AT[0]).mae
+    lines = []
+    for n in _AHEAD_AT:
+        best = _best(others, n)
+        if best is not None:
+            theirs = best.figures(n).mae
+            lines.append(
+                f"    {ours.label} at {_AHEAD_AT[0]} ({short(mine)}): {_factor(mine, theirs)} "
+                f"{best.label} at {n} ({short(theirs)})"
+            )
+    return lines
+
+
+def _factor(mine: float, theirs: float) -> str:
+    if mine == theirs:
+        return "level with"
+    ahead = mine < theirs
+    less, more = sorted((mine, theirs))
+    times = f"{more / less:.2g} times" if less else "without error,"
+    return f"{times} {'ahead of' if ahead else 'behind'}"
+
+
+def _best(outcomes: Iterable[Outcome], rollouts: int) -> Outcome | None:
+    known = [one for one in outcomes if one.knows(rollouts)]
+    return min(known, key=lambda one: one.figures(rollouts).mae, default=None)

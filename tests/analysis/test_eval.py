@@ -1,0 +1,296 @@
+"""The second experiment: its figures are what they say, and every rollout in them is paid for."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from analysis.cli.eval import main
+from analysis.estimators.base import Problem, Step, Trace
+from analysis.experiments.curves import error_curves
+from analysis.experiments.drop import DropOrder, run_drop
+from analysis.experiments.drop_methods import Method, paper_methods, user_methods
+from analysis.experiments.drop_networks import NETWORKS, Effort
+from analysis.experiments.drop_targets import EASY, HARD, DropTarget, draw_targets
+from analysis.experiments.published import published_error
+from analysis.experiments.records import drop_csv, drop_json, drop_rows
+from analysis.experiments.results import Cell, DropResults, Outcome
+from analysis.experiments.shares import OverspentError, Share, errors_of, work_all
+from analysis.experiments.tables import drop_tables, short
+from analysis.tasks.drop_presets import PRESETS
+from analysis.tunenet.checkpoint import shipped_model
+from recorders.simulators.contact import PAPER
+from tests.conftest import BIN, ROOT
+from tunenet_logs.progress import Progress
+
+QUIET = Progress(quiet=True)
+EASY_CELL = Cell("drop", "paper", "Easy", 0.0)
+NOISY_CELL = Cell("drop", "paper", "Easy", 0.01)
+ALLOWED = 10
+
+
+def ready_methods() -> list[Method]:
+    """Every method that draws or searches, and the shipped network of the authors' preset."""
+    code = shipped_model(PRESETS["paper-code"].purpose)
+    networks = {name: code for name in NETWORKS}  # noqa: C420 (names of type str)
+    return [*paper_methods(networks, 0.5, (0.1, 0.9), 3), *user_methods(3)]
+
+
+def share(method: Method, targets: list[DropTarget], rollouts: int = ALLOWED) -> Share:
+    return Share(method, tuple(targets), PAPER, min(rollouts, method.budget))
+
+
+def outcome(errors: list[list[list[float]]], budget: int, cell: Cell = EASY_CELL) -> Outcome:
+    return Outcome(cell, "cma-es", "CMA-ES", "paper", budget, np.array(errors))
+
+
+def test_figures_are_those_of_a_calculation_by_hand():
+    # two seeds, three targets, after 0 and 1 rollouts
+    one = outcome(
+        [[[9, 0.1], [9, 0.2], [9, 0.6]], [[9, 0.0], [9, 0.1], [9, 0.2]]],
+        budget=1,
+    )
+    figures = one.figures(1)
+    assert figures.mae == pytest.approx((0.3 + 0.1) / 2)
+    assert figures.median == pytest.approx(0.15)
+    assert (figures.lowest, figures.highest) == pytest.approx((0.1, 0.3))
+    assert figures.paper == 0.0540
+    assert one.figures(100).mae == figures.mae
+    assert one.figures(0).mae == 9
+
+
+def test_what_a_method_was_not_allowed_is_not_known():
+    noisy = outcome([[[0.3, 0.2, 0.1]]], budget=100, cell=NOISY_CELL)
+    assert noisy.knows(2)
+    assert not noisy.knows(5)
+    with pytest.raises(ValueError, match="2 rollouts, not 5"):
+        noisy.figures(5)
+    assert noisy.figures(1).paper is None
+
+
+def test_published_figures_stand_beside_what_they_were_measured_as():
+    assert published_error("Easy", "tunenet-paper-code", 5) == 0.0050
+    assert published_error("Hard", "tunenet-paper", 100) == 0.0175
+    assert published_error("Hard (target only)", "entropy-search", 10) == 0.1153
+    assert published_error("Easy", "brent", 5) is None
+    assert published_error("Easy", "mean", 40) is None
+
+
+@pytest.mark.parametrize(
+    ("error", "text"),
+    [(0.25, "0.2500"), (0.0012, "0.0012"), (0.00018, "0.00018"), (2e-6, "2.0e-06"), (0, "0.0e+00")],
+)
+def test_small_errors_keep_two_digits(error: float, text: str):
+    assert short(error) == text
+
+
+@pytest.mark.parametrize("method", ready_methods(), ids=lambda one: one.name)
+def test_a_target_costs_the_same_whoever_came_before(method: Method):
+    targets = draw_targets(HARD, 2, seed=4, noise_m=0.01)
+    together = errors_of(share(method, targets))
+    alone = np.concatenate([errors_of(share(method, [one])) for one in reversed(targets)])[::-1]
+    assert np.array_equal(together, alone)
+    assert together.shape == (2, 1 + min(ALLOWED, method.budget))
+
+
+def test_the_number_of_processes_changes_nothing():
+    targets = draw_targets(EASY, 2, seed=5)
+    methods = [one for one in ready_methods() if one.name != "tpe"]  # its library loads for long
+    shares = [share(one, [target], 6) for one in methods for target in targets]
+    alone, together = (work_all(shares, jobs, QUIET) for jobs in (1, 2))
+    for first, second in zip(alone, together, strict=True):
+        assert np.array_equal(first, second)
+
+
+class _Spends:
+    """Takes as many rollouts as it likes, and says what it likes."""
+
+    name = "spends"
+
+    def __init__(self, taken: int, told: int) -> None:
+        self._taken, self._told = taken, told
+
+    def estimate(self, problem: Problem, rollouts: int) -> Trace:  # noqa: ARG002
+        for _ in range(self._taken):
+            problem.look(problem.initial)
+        return Trace((Step(problem.initial, 0), Step(problem.initial, self._told)))
+
+
+@pytest.mark.parametrize(("taken", "told"), [(4, 4), (4, 2), (2, 3)])
+def test_a_method_that_does_not_pay_is_found_out(taken: int, told: int):
+    method = Method("spends", "Spends", "user", _Spends(taken, told), 3)
+    with pytest.raises(OverspentError, match="spends"):
+        errors_of(share(method, draw_targets(EASY, 1, seed=1)))
+
+
+def test_an_answer_counts_from_the_rollout_on_that_it_was_paid_with():
+    method = Method("spends", "Spends", "user", _Spends(2, 2), 3)
+    (target,) = draw_targets(EASY, 1, seed=1)
+    off = abs(target.initial - target.truth)
+    assert errors_of(share(method, [target])) == pytest.approx(np.full((1, 4), off))
+
+
+@pytest.fixture(scope="module")
+def results() -> DropResults:
+    methods = ("mean", "direct", "secant", "tunenet-paper-code", "difference")
+    return run_drop(DropOrder((1, 2), 2, methods, 2, Effort(50, 2)), QUIET)
+
+
+def test_every_cell_is_filled_within_its_budget(results: DropResults):
+    clean = results.of(EASY_CELL)
+    assert [one.method for one in clean] == ["mean", "direct", "tunenet-paper-code", "secant"]
+    assert {one.errors.shape[:2] for one in results.outcomes} == {(2, 2)}
+    assert max(one.allowed for one in clean) == 100
+    assert max(one.allowed for one in results.of(NOISY_CELL)) == 10
+    ablation = [one.method for cell in results.cells[-2:] for one in results.of(cell)]
+    assert ablation == ["difference", "difference"]
+    truths = [target.truth for target in draw_targets(EASY, 2, seed=2)]
+    off = np.abs(np.array(truths) - np.mean(truths))
+    assert clean[0].errors[1, :, 0] == pytest.approx(off)
+
+
+def test_the_secant_finds_what_easy_targets_hide(results: DropResults):
+    secant = results.of(EASY_CELL)[3]
+    assert secant.figures(10).mae < 1e-3
+    assert secant.figures(0).mae > 0.02
+
+
+def test_json_csv_and_table_hold_the_same_figures(results: DropResults):
+    told = json.loads(drop_json(results))
+    rows = list(csv.DictReader(drop_csv(results).splitlines()))
+    assert len(rows) == len(told["rows"]) == len(drop_rows(results))
+    table = drop_tables(results)
+    for one in told["summary"]:
+        mine = [
+            float(row["mae"])
+            for row in rows
+            if all(row[key] == str(one[key]) for key in ("experiment", "set", "noise_m", "method"))
+            and row["rollouts"] == str(one["rollouts"])
+        ]
+        assert len(mine) == len(told["seeds"])
+        assert one["mae"] == pytest.approx(np.mean(mine))
+        assert (one["lowest"], one["highest"]) == pytest.approx((min(mine), max(mine)))
+    direct = next(one for one in told["summary"] if one["method"] == "direct")
+    lines = [" ".join(line.split()) for line in table.splitlines()]
+    assert any(
+        line.startswith(f"Direct prediction {short(direct['mae'])} (.0120)") for line in lines
+    )
+    assert max(len(line) for line in table.splitlines()) <= 100
+
+
+def test_curves_go_on_to_the_end_and_show_each_published_point_once(results: DropResults):
+    curves = error_curves(results, "Easy")
+    assert {len(curve.mean) for curve in curves} == {101}
+    assert [(curve.method, len(curve.paper)) for curve in curves] == [
+        ("mean", 4),
+        ("direct", 4),
+        ("tunenet-paper-code", 4),
+        ("secant", 0),
+    ]
+    for curve in curves:
+        assert (curve.low <= curve.mean + 1e-12).all()
+        assert (curve.mean <= curve.high + 1e-12).all()
+
+
+def run_eval(*words: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "analysis.cli.eval", *map(str, words)]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
+
+
+def test_the_command_writes_what_it_is_asked_for(tmp_path: Path):
+    files = {name: tmp_path / f"drop.{name}" for name in ("json", "csv", "png", "rrd")}
+    words = [word for name, path in files.items() for word in (f"--{name}", path)]
+    methods = "mean,secant,brent"
+    done = run_eval(*("drop", "--seeds", 1, "--targets", 3, "--methods", methods, *words))
+    assert done.returncode == 0, done.stderr
+    assert not done.stderr
+    assert "Easy, the paper's simulator" in done.stdout
+    assert f"rerun {files['rrd']}" in done.stdout
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(
+        path.name for path in files.values()
+    )
+    picture = cv2.imread(str(files["png"]))
+    assert picture is not None
+    assert picture.shape[1] > 1000
+    assert (picture < 250).any(axis=2).mean() > 0.02  # lines, not an empty page
+    verify = [BIN / "rerun", "rrd", "verify", files["rrd"]]
+    assert subprocess.run(verify, capture_output=True, timeout=60).returncode == 0
+    told = json.loads(files["json"].read_text())
+    assert {one["method"] for one in told["curves"]} == set(methods.split(","))
+
+
+def test_an_interrupt_ends_it_at_once_and_leaves_nothing(tmp_path: Path):
+    words = ["drop", "--methods", "tpe", "--targets", "1000", "--json", str(tmp_path / "a.json")]
+    running = subprocess.Popen(
+        [sys.executable, "-m", "analysis.cli.eval", *words, "--jobs", "2"],
+        cwd=ROOT,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    children = Path(f"/proc/{running.pid}/task/{running.pid}/children")
+    while running.poll() is None and len(children.read_text().split()) < 3:
+        time.sleep(0.05)
+    os.killpg(running.pid, signal.SIGINT)
+    _, told = running.communicate(timeout=60)
+    assert running.returncode == 130
+    assert told == "tunenet-eval: interrupted\n"
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("drop", "--methods", "mean,best"), "no method 'best'; there is: mean, entropy-search"),
+        (("drop", "--json", "/nowhere/a.json"), "/nowhere: no such folder"),
+        (("drop", "--png", "."), "is a folder; give --png a file"),
+        (("drop", "--json", "a", "--csv", "a"), "both --json and --csv name it"),
+        (("drop", "--seeds", "0"), "not a whole number"),
+        (("motion", "--png", "a.png"), "--png is for drop, not motion"),
+        (("motion", "--methods", "mean"), "--methods is for drop"),
+        (("everything",), "invalid choice"),
+        ((), "required"),
+    ],
+)
+def test_wrong_usage_is_one_line_before_any_work(
+    words: tuple[str, ...],
+    says: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+):
+    monkeypatch.chdir(tmp_path)
+    assert main(words) == 2
+    told = capsys.readouterr()
+    assert says in told.err
+    assert told.err.count("\n") == 1
+    assert not told.out
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("module", "words"),
+    [("optuna", ("--methods", "tpe")), ("matplotlib", ("--methods", "mean", "--png", "a.png"))],
+)
+def test_a_library_that_is_missing_is_one_line(
+    module: str,
+    words: tuple[str, ...],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, module, None)
+    assert main(("drop", *words)) == 2
+    told = capsys.readouterr().err
+    assert told == (f"tunenet-eval: {module} is not installed; pip install 'tunenet-logs[eval]'\n")
