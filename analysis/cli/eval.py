@@ -116,10 +116,10 @@ def _drop(
 ) -> tuple[str, Writers]:
     from analysis.experiments.drop import DropOrder, run_drop
     from analysis.experiments.drop_roster import roster
-    from analysis.experiments.extras import needed
     from analysis.experiments.figure import write_figure
     from analysis.experiments.records import drop_csv, drop_json
     from analysis.experiments.tables import drop_tables
+    from analysis.extras import needed
 
     methods = None
     if arguments.methods is not None:

@@ -1,10 +1,11 @@
-"""The networks of the second experiment, trained from one seed on the paper's simulator."""
+"""The networks of the second experiment, trained from one seed."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
+from analysis.experiments.our_networks import train_on_calibrated, train_on_papers
 from analysis.tasks.drop_presets import PRESETS
 from analysis.tunenet.ablation import Antisymmetrised, DifferenceNetwork
 from analysis.tunenet.network import Model, Network, PaperNetwork
@@ -20,6 +21,8 @@ PAPER_CODE = "paper-code"
 DIRECT = "direct"
 DIFFERENCE = "difference"
 ANTISYMMETRIC = "antisymmetric"
+OURS = "ours"
+OURS_CALIBRATED = "ours-calibrated"
 
 
 @dataclass(frozen=True)
@@ -38,7 +41,9 @@ _PLANS: Mapping[str, _Plan] = {
     ANTISYMMETRIC: _Plan(Antisymmetrised(PaperNetwork()), "paper-code"),
 }
 
-NETWORKS = tuple(_PLANS)
+_OURS = {OURS: train_on_papers, OURS_CALIBRATED: train_on_calibrated}
+
+NETWORKS = (*_PLANS, *_OURS)
 
 
 @dataclass(frozen=True)
@@ -61,7 +66,7 @@ def train_networks(
     progress: Progress,
     effort: Effort | None = None,
 ) -> Networks:
-    """Train what is wanted, all of it on the same 800 pairs of the paper's simulator.
+    """Train what is wanted; the paper's all on the same 800 pairs, ours on their own.
 
     Args:
         wanted: of `NETWORKS`.
@@ -70,17 +75,21 @@ def train_networks(
         progress: shows how far it is.
         effort: in place of the presets'.
     """
-    if not wanted:
-        return {}
     effort = effort or Effort()
+    trained = {
+        name: training(seed, jobs, progress, effort.epochs)
+        for name, training in _OURS.items()
+        if name in wanted
+    }
+    plans = {name: plan for name, plan in _PLANS.items() if name in wanted}
+    if not plans:
+        return trained
     pairs = PRESETS["paper-code"].make_pairs(effort.pairs, seed, jobs, progress)
-    trained: dict[str, Model] = {}
-    for name, plan in _PLANS.items():
-        if name in wanted:
-            recipe = PRESETS[plan.preset].recipe
-            if effort.epochs is not None:
-                recipe = replace(recipe, epochs=effort.epochs)
-            trained[name] = train(plan.network, _seen(name, pairs), recipe, seed, progress)
+    for name, plan in plans.items():
+        recipe = PRESETS[plan.preset].recipe
+        if effort.epochs is not None:
+            recipe = replace(recipe, epochs=effort.epochs)
+        trained[name] = train(plan.network, _seen(name, pairs), recipe, seed, progress)
     return trained
 
 

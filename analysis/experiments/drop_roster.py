@@ -9,11 +9,13 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.estimators.refined import RefinedTuneNet
 from analysis.estimators.tunenet import TuneNet
 from analysis.experiments import drop_networks as nets
 from analysis.experiments.drop_methods import Method
 from analysis.experiments.drop_networks import Networks
-from analysis.experiments.extras import needed
+from analysis.extras import needed
+from analysis.tunenet.network import Model
 from tunenet_logs.errors import UsageError
 
 Array = NDArray[np.float64]
@@ -43,7 +45,10 @@ _USERS = {
     "least-squares": _Needs(),
     "tpe": _Needs(libraries=("optuna",)),
 }
-_OURS: dict[str, _Needs] = {}
+_OURS = {
+    "network": _Needs((nets.OURS, nets.OURS_CALIBRATED)),
+    "ours": _Needs((nets.OURS, nets.OURS_CALIBRATED)),
+}
 _ABLATION = {
     "concatenation": _Needs((nets.PAPER_CODE,)),
     "difference": _Needs((nets.DIFFERENCE,)),
@@ -60,6 +65,7 @@ NAMES = tuple(_ALL)
 """What `--methods` takes, in the order of the tables."""
 
 _ITERATIONS = 100
+_OUR_ROLLOUTS = 40
 
 
 @dataclass(frozen=True)
@@ -85,7 +91,7 @@ class Roster:
         """
         everyone = {
             "paper": lambda: _competitors(networks, truths, seed),
-            "calibrated": lambda: _ours(networks),
+            "calibrated": lambda: _ours(networks.get(nets.OURS_CALIBRATED)),
             "ablation": lambda: _ablation(networks),
         }[table]()
         return [method for method in everyone if method.name in self.names]
@@ -113,12 +119,17 @@ def _competitors(networks: Networks, truths: Array, seed: int) -> list[Method]:
     trained: dict[str, Any] = {name: networks.get(name) for name in nets.NETWORKS}
     bins = (float(truths.min()), float(truths.max()))
     papers = paper_methods(trained, float(truths.mean()), bins, seed)
-    return [*papers, *user_methods(seed), *_ours(networks)]
+    return [*papers, *user_methods(seed), *_ours(networks.get(nets.OURS))]
 
 
-def _ours(networks: Networks) -> list[Method]:  # noqa: ARG001
-    """Ours for one simulator; those of the calibrated one take its canonical observation."""
-    return []
+def _ours(network: Model | None) -> list[Method]:
+    """Ours, by the network for the cell's simulator; none where neither was chosen."""
+    if network is None:
+        return []
+    return [
+        Method("network", "Our network alone", "ours", TuneNet(network), _ITERATIONS),
+        Method("ours", "Our network, then fits", "ours", RefinedTuneNet(network), _OUR_ROLLOUTS),
+    ]
 
 
 def _ablation(networks: Networks) -> list[Method]:

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from analysis.experiments.curves import FLOOR, PANELS, ErrorCurve, error_curves
-from analysis.experiments.extras import needed
 from analysis.experiments.results import DropResults
+from analysis.extras import needed
 from analysis.files import replacing
 
 _TICKS = (0, 1, 2, 5, 10, 20, 40, 100)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
-from analysis.estimators.tunenet import TuneNet
+from analysis.estimators.refined import RefinedTuneNet
 from analysis.experiments import drop_networks as nets
 from analysis.experiments.motion import OneStepTraining, Tuners, motion_table
 from analysis.experiments.motion_rows import MotionRow
@@ -35,9 +35,9 @@ def run_motion(
 
 
 def _tuners(seed: int, *, jobs: int | None, progress: Progress, effort: nets.Effort) -> Tuners:
-    wanted = (nets.PAPER_CODE, nets.ANTISYMMETRIC)
+    wanted = (nets.PAPER_CODE, nets.OURS)
     networks = nets.train_networks(wanted, seed, jobs, progress, effort)
-    return Tuners(networks[nets.PAPER_CODE], TuneNet(networks[nets.ANTISYMMETRIC]))
+    return Tuners(networks[nets.PAPER_CODE], RefinedTuneNet(networks[nets.OURS]))
 
 
 def _one_step_training(effort: nets.Effort) -> OneStepTraining:
