@@ -9,7 +9,7 @@ What is spent beyond that scans the neighbourhood and ends with Brent's method.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,19 +32,25 @@ _CONSISTENT_SDS = 3.0
 _SAME = 1e-10
 
 
-@dataclass(frozen=True)
+Visit = tuple[float, Array]
+"""A value and the misfit of its rollout."""
+
+
+@dataclass(frozen=True, eq=False)
 class Line:
     """Where a straight line through two rollouts meets the target.
 
     Attributes:
         value: the parameter there.
         sd: its standard error.
-        samples: length of the beginning of the episode that was fitted.
+        samples: length of the beginning of the episode that was fitted; 0 where none was.
+        before: the rollout that it starts from.
     """
 
     value: float
     sd: float
     samples: int
+    before: Visit
 
 
 class RefinedTuneNet:
@@ -58,9 +64,9 @@ class RefinedTuneNet:
     def estimate(self, problem: Problem, rollouts: int) -> Trace:
         """See `Estimator.estimate`."""
         values = problem.initial
-        visited: list[tuple[float, Array]] = []
+        visited: list[Visit] = []
         steps = [Step(values, 0)]
-        reach = _LEAST_REACH
+        line: Line | None = None
         for k in range(min(rollouts, _NETWORK_STEPS + _LINE_STEPS)):
             look = problem.look(values)
             visited.append((float(values[0]), problem.misfit(look)))
@@ -68,11 +74,11 @@ class RefinedTuneNet:
             if k < _NETWORK_STEPS:
                 values = problem.clamp(values + self._residual(look, problem))
             else:
-                line = line_through(visited, problem) or _probe(values, problem)
+                line = _next(visited, line, problem)
                 values = problem.clamp(np.array([line.value]))
-                reach = max(_SCAN_SDS * line.sd, _LEAST_REACH)
             steps.append(Step(values, problem.rollouts))
-        if rollouts > problem.rollouts:
+        if line is not None and rollouts > problem.rollouts:
+            reach = max(_SCAN_SDS * line.sd, _LEAST_REACH)
             steps += _local_search(problem, values, reach, rollouts)
         return Trace(tuple(steps))
 
@@ -80,7 +86,17 @@ class RefinedTuneNet:
         return self._model(look.observation.values[None], problem.target.values[None])[0]
 
 
-def line_through(visited: list[tuple[float, Array]], problem: Problem) -> Line | None:
+def _next(visited: list[Visit], line: Line | None, problem: Problem) -> Line:
+    """Where to look next: half way back from a place that the last line led to in vain."""
+    if line is not None and line.samples:
+        here, before = visited[-1], line.before
+        size = [float(np.linalg.norm(misfit[: line.samples])) for _, misfit in (here, before)]
+        if size[0] > size[1]:
+            return replace(line, value=(here[0] + before[0]) / 2)
+    return line_through(visited, problem) or _probe(visited[-1], problem)
+
+
+def line_through(visited: list[Visit], problem: Problem) -> Line | None:
     """The line through the last rollout and the one nearest to it in the parameter.
 
     Least squares of misfit + slope x change = 0 over the first n samples, for the largest n whose
@@ -111,14 +127,15 @@ def line_through(visited: list[tuple[float, Array]], problem: Problem) -> Line |
     above = np.maximum.accumulate(values - _CONSISTENT_SDS * sds)
     below = np.minimum.accumulate(values + _CONSISTENT_SDS * sds)
     chosen = int(np.flatnonzero((above <= values) & (values <= below))[-1])
-    return Line(float(values[chosen]), float(sds[chosen]), int(usable[chosen]) + 1)
+    samples = int(usable[chosen]) + 1
+    return Line(float(values[chosen]), float(sds[chosen]), samples, visited[-1])
 
 
-def _probe(values: Array, problem: Problem) -> Line:
+def _probe(visit: Visit, problem: Problem) -> Line:
     """A place near by, where all rollouts so far were alike: the next two make a line."""
-    here = float(values[0])
-    beside = float(problem.clamp(values + _PROBE)[0])
-    return Line(beside if beside > here else here - _PROBE, _PROBE, 0)
+    here = visit[0]
+    beside = float(problem.clamp(np.array([here + _PROBE]))[0])
+    return Line(beside if beside > here else here - _PROBE, _PROBE, 0, visit)
 
 
 def _noise_variance(problem: Problem) -> float:
