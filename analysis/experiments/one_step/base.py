@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
@@ -15,15 +16,15 @@ Memory = Any
 class Stepper(Protocol):
     """Predicts the next state (height of the centre [m], speed upward [m/s]) of N balls."""
 
-    def start(self, count: int) -> Memory:
+    def start(self, count: int, /) -> Memory:
         """What it remembers of `count` balls of which it has seen nothing."""
         ...
 
-    def forecast(self, memory: Memory, states: Array) -> tuple[Array, Memory]:
+    def forecast(self, memory: Memory, states: Array, /) -> tuple[Array, Memory]:
         """The states one step after `states`, shape (N, 2), and what `learn` needs."""
         ...
 
-    def learn(self, memory: Memory, states: Array | None) -> Memory:
+    def learn(self, memory: Memory, states: Array | None, /) -> Memory:
         """Remember what came of the forecast.
 
         Args:
@@ -61,17 +62,29 @@ def predict(stepper: Stepper, truth: Array, seen: int) -> Array:
     return heights_m
 
 
-class StandStill:
-    """Says that nothing moves: the error one step ahead is how far the ball goes in one."""
+class Memoryless:
+    """A predictor that goes by the present state alone.
 
-    def start(self, _count: int) -> Memory:
+    Args:
+        step: gives the states one step later, both of shape (N, 2).
+    """
+
+    def __init__(self, step: Callable[[Array], Array]) -> None:
+        self._step = step
+
+    def start(self, _count: int, /) -> Memory:
         """See `Stepper.start`."""
         return None
 
-    def forecast(self, _memory: Memory, states: Array) -> tuple[Array, Memory]:
+    def forecast(self, _memory: Memory, states: Array, /) -> tuple[Array, Memory]:
         """See `Stepper.forecast`."""
-        return states, None
+        return self._step(states), None
 
-    def learn(self, _memory: Memory, _states: Array | None) -> Memory:
+    def learn(self, _memory: Memory, _states: Array | None, /) -> Memory:
         """See `Stepper.learn`."""
         return None
+
+
+def stand_still(states: Array) -> Array:
+    """Nothing moves: its error one step ahead is how far the ball goes in one."""
+    return states

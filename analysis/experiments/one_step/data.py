@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.experiments.drop_targets import DropTarget
-from analysis.experiments.one_step.base import Memory
 from analysis.observe.drop import PAPER_RADIUS_M, PAPER_RATE_HZ, PAPER_SAMPLES
 from analysis.tasks.drop_presets import PAPER_HEIGHT_M, PAPER_RESTITUTION
 from recorders.simulators.ball_world import BallWorld
@@ -54,18 +53,6 @@ class EngineStep:
     def __call__(self, states: Array) -> Array:
         """The states one step later; both of shape (N, 2)."""
         return np.array([self._one(*state) for state in states.tolist()]).reshape(-1, 2)
-
-    def start(self, _count: int) -> Memory:
-        """See `Stepper.start`."""
-        return None
-
-    def forecast(self, _memory: Memory, states: Array) -> tuple[Array, Memory]:
-        """See `Stepper.forecast`."""
-        return self(states), None
-
-    def learn(self, _memory: Memory, _states: Array | None) -> Memory:
-        """See `Stepper.learn`."""
-        return None
 
     def _one(self, height_m: float, speed_m_s: float) -> tuple[float, float]:
         self._world.place(height_m - PAPER_RADIUS_M, self._restitution)

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.experiments.one_step.base import Memory
 from analysis.experiments.one_step.layers import (
     Weights,
     as_arrays,
@@ -32,7 +31,7 @@ class NeuralRecipe:
     """
 
     width: int = 64
-    epochs: int = 30
+    epochs: int = 40
     batch: int = 512
     learning_rate: float = 5e-3
 
@@ -48,18 +47,10 @@ class Neural:
         self._weights = weights
         self._offset, self._spread, self._change = offset, spread, change
 
-    def start(self, _count: int) -> Memory:
-        """See `Stepper.start`."""
-        return None
-
-    def forecast(self, _memory: Memory, states: Array) -> tuple[Array, Memory]:
-        """See `Stepper.forecast`."""
+    def __call__(self, states: Array) -> Array:
+        """The states one step later; both of shape (N, 2)."""
         outputs = _changes(self._weights, (states - self._offset) / self._spread)
-        return states + outputs * self._change, None
-
-    def learn(self, _memory: Memory, _states: Array | None) -> Memory:
-        """See `Stepper.learn`."""
-        return None
+        return states + outputs * self._change
 
 
 def train_neural(states: Array, recipe: NeuralRecipe, seed: int, progress: Progress) -> Neural:

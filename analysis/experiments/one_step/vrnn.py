@@ -82,7 +82,7 @@ class Scales:
         return np.concatenate(both, axis=-1)
 
     def scaled(self, residuals: Array) -> Array:
-        """x of residuals in metres and metres a second."""
+        """Residuals of 1, of residuals in metres and metres a second."""
         return residuals / self.residual
 
 

@@ -26,6 +26,10 @@ if TYPE_CHECKING:
 class VrnnRecipe:
     """How the network is trained: Adam, one cycle of the learning rate.
 
+    The whole of it takes half a minute on one core. Twice the epochs, a finer `least_deviation`
+    and half the batch all leave the figures where they are, to a twentieth: what is left is the
+    impact of a ball that the network does not know yet.
+
     Attributes:
         piece: steps along which gradients flow; the memory is carried on from piece to piece.
         batch: drops at a time.
@@ -34,7 +38,7 @@ class VrnnRecipe:
     """
 
     sizes: Sizes = field(default_factory=Sizes)
-    epochs: int = 25
+    epochs: int = 10
     batch: int = 100
     piece: int = 100
     learning_rate: float = 5e-3
@@ -68,12 +72,13 @@ def train_vrnn(drops: Transitions, recipe: VrnnRecipe, seed: int, progress: Prog
         optimizer, recipe.learning_rate, total_steps=recipe.epochs * updates
     )
     generator = torch.Generator().manual_seed(seed)
-    with one_thread(), progress.bar(recipe.epochs, "training VRNN", "epoch") as bar:
+    with one_thread(), progress.bar(recipe.epochs, "training VRNN hybrid", "epoch") as bar:
         for _ in range(recipe.epochs):
             for chosen in torch.randperm(count, generator=generator).split(recipe.batch):
                 memory = torch.zeros(len(chosen), recipe.sizes.memory)
-                pieces = zip(seen[:, chosen].split(recipe.piece), given[:, chosen].split(recipe.piece))
-                for residual, condition in pieces:
+                for at in range(0, steps, recipe.piece):
+                    piece = slice(at, at + recipe.piece)
+                    residual, condition = seen[piece, chosen], given[piece, chosen]
                     loss, memory = _loss(weights, recipe, residual, condition, memory, generator)
                     optimizer.zero_grad()
                     loss.backward()
@@ -81,7 +86,6 @@ def train_vrnn(drops: Transitions, recipe: VrnnRecipe, seed: int, progress: Prog
                     optimizer.step()
                     schedule.step()
             bar.update(1)
-            bar.set_postfix_str(f"bound {-loss.item():.3f}", refresh=False)
     return VrnnHybrid(as_arrays(weights), recipe.sizes, scales, EngineStep())
 
 
