@@ -39,9 +39,9 @@ def tanh(values: Any) -> Any:
     return np.tanh(values) if isinstance(values, np.ndarray) else values.tanh()
 
 
-def sigmoid(values: Any) -> Any:
-    """The logistic function; in NumPy by way of tanh, which cannot overflow."""
-    return tanh(values / 2) / 2 + 0.5 if isinstance(values, np.ndarray) else values.sigmoid()
+def sigmoid(values: Array) -> Array:
+    """The logistic function, by way of tanh, which cannot overflow."""
+    return np.tanh(values / 2) / 2 + 0.5
 
 
 def as_tensors(weights: Mapping[str, Array]) -> dict[str, torch.Tensor]:

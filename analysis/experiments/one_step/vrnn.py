@@ -7,11 +7,13 @@ present state, the simulator's step from it):
     prior     p(z | h, c)        what may happen, by all that was seen
     encoder   q(z | x, h, c)     what did happen, once the residual x is known
     decoder   p(x | z, h, c)     the residual of the simulator's step
-    memory    h <- GRU((x, c, z), h)
+    memory    h <- GRU((x, c), h)
 
-Theirs is a "decoupled conditional" one; what that decouples, the sizes of its layers, its
-training, and which restitution their simulator was given are not known to us. The ball's own
-restitution is hidden: it shows in the residuals of past impacts only.
+Chung's memory takes z too. Theirs is a "decoupled conditional" network; what it decouples, the
+sizes of its layers, its training, and which restitution their simulator was given are not known
+to us. Here the memory is decoupled from z: as z says nothing that x does not, nothing is lost
+once x was seen, and training is ten times as fast. The ball's own restitution is hidden: it shows
+in the residuals of past impacts only.
 """
 
 from __future__ import annotations
@@ -50,8 +52,8 @@ class Sizes:
             "encoder.out": (self.hidden, 2 * self.latent),
             "decoder": (self.latent + seen, self.hidden),
             "decoder.out": (self.hidden, 2 * RESIDUALS),
-            "gates": (RESIDUALS + CONDITION + self.latent + self.memory, 2 * self.memory),
-            "candidate": (RESIDUALS + CONDITION + self.latent + self.memory, self.memory),
+            "memory.input": (RESIDUALS + CONDITION, 3 * self.memory),
+            "memory.own": (self.memory, 3 * self.memory),
         }
 
 
@@ -74,7 +76,7 @@ class Scales:
         """Of training data."""
         states = drops.states.reshape(-1, 2)
         residuals = (drops.states[:, 1:] - drops.simulated).reshape(-1, 2)
-        return Scales(states.mean(axis=0), states.std(axis=0), residuals.std(axis=0))
+        return Scales(states.mean(axis=0), states.std(axis=0), np.abs(residuals).max(axis=0))
 
     def condition(self, states: Array, simulated: Array) -> Array:
         """c, shape (..., 4), of states and the simulator's step from them, shape (..., 2)."""
@@ -93,13 +95,15 @@ def gaussian(weights: Weights, name: str, *inputs: Any) -> tuple[Any, Any]:
     return outputs[..., :half], outputs[..., half:]
 
 
-def remember(weights: Weights, memory: Any, *inputs: Any) -> Any:
-    """The gated recurrent unit, of (x, c, z)."""
-    gates = sigmoid(linear(weights, "gates", joined(*inputs, memory)))
+def remember(weights: Weights, memory: Array, *inputs: Array) -> Array:
+    """One step of the gated recurrent unit, as `torch.nn.GRU` has it, of (x, c)."""
+    given = linear(weights, "memory.input", joined(*inputs))
+    own = linear(weights, "memory.own", memory)
     size = memory.shape[-1]
-    update, reset = gates[..., :size], gates[..., size:]
-    candidate = tanh(linear(weights, "candidate", joined(*inputs, reset * memory)))
-    return update * memory + (1 - update) * candidate
+    gates = sigmoid(given[:, : 2 * size] + own[:, : 2 * size])
+    reset, keep = gates[:, :size], gates[:, size:]
+    candidate = np.tanh(given[:, 2 * size :] + reset * own[:, 2 * size :])
+    return keep * memory + (1 - keep) * candidate
 
 
 def joined(*values: Any) -> Any:
@@ -114,8 +118,8 @@ def joined(*values: Any) -> Any:
 class VrnnHybrid:
     """The simulator's step plus the mean of the network's prediction of its residual.
 
-    z is at its prior's mean for a forecast, and at its encoder's for what was seen: no sample is
-    drawn, so the same run gives the same forecast.
+    z is at its prior's mean: no sample is drawn, so the same run gives the same forecast. The
+    encoder has a part in training alone.
     """
 
     def __init__(self, weights: Weights, sizes: Sizes, scales: Scales, engine: EngineStep) -> None:
@@ -135,12 +139,11 @@ class VrnnHybrid:
         latent, _ = gaussian(self._weights, "prior", memory, condition)
         residual, _ = gaussian(self._weights, "decoder", latent, memory, condition)
         forecast = simulated + residual * self._scales.residual
-        return forecast, (memory, simulated, condition, latent, residual)
+        return forecast, (memory, simulated, condition, residual)
 
     def learn(self, memory: Memory, states: Array | None) -> Memory:
         """See `Stepper.learn`."""
-        before, simulated, condition, latent, residual = memory
+        before, simulated, condition, residual = memory
         if states is not None:
             residual = self._scales.scaled(states - simulated)
-            latent, _ = gaussian(self._weights, "encoder", residual, before, condition)
-        return remember(self._weights, before, residual, condition, latent)
+        return remember(self._weights, before, residual, condition)

@@ -1,4 +1,4 @@
-"""Trains the VRNN hybrid: the evidence lower bound, along the drops, a piece at a time."""
+"""Trains the VRNN hybrid: the evidence lower bound, along whole drops."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis.experiments.one_step.data import EngineStep, Transitions
 from analysis.experiments.one_step.layers import (
@@ -15,34 +16,38 @@ from analysis.experiments.one_step.layers import (
     first_weights,
     one_thread,
 )
-from analysis.experiments.one_step.vrnn import Scales, Sizes, VrnnHybrid, gaussian, remember
+from analysis.experiments.one_step.vrnn import Scales, Sizes, VrnnHybrid, gaussian, joined
 from tunenet_logs.progress import Progress
 
 if TYPE_CHECKING:
     import torch
+
+Array = NDArray[np.float64]
+
+_GRU = {"memory.input": ("weight_ih_l0", "bias_ih_l0"), "memory.own": ("weight_hh_l0", "bias_hh_l0")}
+"""What torch calls the layers of its recurrent unit."""
 
 
 @dataclass(frozen=True)
 class VrnnRecipe:
     """How the network is trained: Adam, one cycle of the learning rate.
 
-    The whole of it takes half a minute on one core. Twice the epochs, a finer `least_deviation`
-    and half the batch all leave the figures where they are, to a twentieth: what is left is the
-    impact of a ball that the network does not know yet.
-
     Attributes:
-        piece: steps along which gradients flow; the memory is carried on from piece to piece.
         batch: drops at a time.
-        least_deviation: of the decoder, in standard deviations of the residual.
+        keep: added to the first bias of the gate that keeps the memory: an impact is to be
+            remembered for a hundred steps in which nothing happens.
+        least_deviation: of the decoder, in units of the largest residual.
         most_gradient: its norm is clipped there.
     """
 
     sizes: Sizes = field(default_factory=Sizes)
-    epochs: int = 10
-    batch: int = 100
-    piece: int = 100
+    epochs: int = 30
+    batch: int = 25
     learning_rate: float = 5e-3
-    least_deviation: float = 0.01
+    keep: float = 3.0
+    beta: float = 0.5
+    unit: float = 1e-3
+    least_deviation: float = 1e-3
     most_gradient: float = 1.0
 
 
@@ -63,30 +68,31 @@ def train_vrnn(drops: Transitions, recipe: VrnnRecipe, seed: int, progress: Prog
     # Time first: a step of all drops is then one block of memory.
     seen = torch.tensor(residuals.swapaxes(0, 1), dtype=torch.float32)
     given = torch.tensor(conditions.swapaxes(0, 1), dtype=torch.float32)
-    rng = np.random.default_rng(seed)
-    weights = as_tensors(first_weights(recipe.sizes.layers(), rng))
-    optimizer = torch.optim.Adam(weights.values())
-    count, steps = seen.shape[1], seen.shape[0]
-    updates = int(np.ceil(count / recipe.batch) * np.ceil(steps / recipe.piece))
+    first = first_weights(recipe.sizes.layers(), np.random.default_rng(seed))
+    first["memory.input.bias"][recipe.sizes.memory : 2 * recipe.sizes.memory] += recipe.keep
+    gru = _recurrent_unit(first, recipe.sizes)
+    weights = as_tensors({name: value for name, value in first.items() if "memory." not in name})
+    trained = [*weights.values(), *gru.parameters()]
+    optimizer = torch.optim.Adam(trained)
+    updates = int(np.ceil(seen.shape[1] / recipe.batch))
     schedule = torch.optim.lr_scheduler.OneCycleLR(
         optimizer, recipe.learning_rate, total_steps=recipe.epochs * updates
     )
     generator = torch.Generator().manual_seed(seed)
     with one_thread(), progress.bar(recipe.epochs, "training VRNN hybrid", "epoch") as bar:
         for _ in range(recipe.epochs):
-            for chosen in torch.randperm(count, generator=generator).split(recipe.batch):
-                memory = torch.zeros(len(chosen), recipe.sizes.memory)
-                for at in range(0, steps, recipe.piece):
-                    piece = slice(at, at + recipe.piece)
-                    residual, condition = seen[piece, chosen], given[piece, chosen]
-                    loss, memory = _loss(weights, recipe, residual, condition, memory, generator)
-                    optimizer.zero_grad()
-                    loss.backward()
-                    torch.nn.utils.clip_grad_norm_(weights.values(), recipe.most_gradient)
-                    optimizer.step()
-                    schedule.step()
+            for chosen in torch.randperm(seen.shape[1], generator=generator).split(recipe.batch):
+                residual, condition = seen[:, chosen], given[:, chosen]
+                after, _ = gru(joined(residual, condition))
+                before = torch.cat([torch.zeros_like(after[:1]), after[:-1]])
+                loss = _loss(weights, recipe, residual, condition, before, generator)
+                optimizer.zero_grad()
+                loss.backward()
+                torch.nn.utils.clip_grad_norm_(trained, recipe.most_gradient)
+                optimizer.step()
+                schedule.step()
             bar.update(1)
-    return VrnnHybrid(as_arrays(weights), recipe.sizes, scales, EngineStep())
+    return VrnnHybrid(as_arrays(weights) | _layers(gru), recipe.sizes, scales, EngineStep())
 
 
 def _loss(
@@ -96,29 +102,37 @@ def _loss(
     condition: torch.Tensor,
     memory: torch.Tensor,
     generator: torch.Generator,
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """The negative evidence lower bound of one piece, a step; and the memory after it.
-
-    Only what the memory needs is done step by step; prior and decoder are asked once for all.
-    """
+) -> torch.Tensor:
+    """The negative evidence lower bound, a step, of whole drops with the memory before each."""
     import torch
 
-    noise = torch.randn(*residual.shape[:2], recipe.sizes.latent, generator=generator)
-    memories, latents, means, logs = [], [], [], []
-    for x, c, draw in zip(residual, condition, noise, strict=True):
-        mean, log = gaussian(weights, "encoder", x, memory, c)
-        latent = mean + log.exp() * draw
-        memories.append(memory)
-        latents.append(latent)
-        means.append(mean)
-        logs.append(log)
-        memory = remember(weights, memory, x, c, latent)
-    before, latent = torch.stack(memories), torch.stack(latents)
-    q_mean, q_log = torch.stack(means), torch.stack(logs)
-    p_mean, p_log = gaussian(weights, "prior", before, condition)
+    q_mean, q_log = gaussian(weights, "encoder", residual, memory, condition)
+    latent = q_mean + q_log.exp() * torch.randn(q_mean.shape, generator=generator)
+    p_mean, p_log = gaussian(weights, "prior", memory, condition)
     gap = ((q_mean - p_mean) ** 2 + (2 * q_log).exp()) / (2 * p_log).exp()
     divergence = (p_log - q_log + (gap - 1) / 2).sum(dim=-1)
-    mean, log = gaussian(weights, "decoder", latent, before, condition)
+    mean, log = gaussian(weights, "decoder", latent, memory, condition)
     deviation = log.exp() + recipe.least_deviation
-    surprise = (((residual - mean) / deviation) ** 2 / 2 + deviation.log()).sum(dim=-1)
-    return (surprise + divergence).mean(), memory.detach()
+    surprise = (((residual - mean) / deviation) ** 2 / 2 + deviation.log())
+    surprise = (surprise * deviation.detach() ** (2 * recipe.beta) / recipe.unit).sum(dim=-1)
+    return (surprise + divergence).mean()
+
+
+def _recurrent_unit(weights: Weights, sizes: Sizes) -> torch.nn.GRU:
+    import torch
+
+    inputs = sizes.layers()["memory.input"][0]
+    unit = torch.nn.GRU(inputs, sizes.memory)
+    with torch.no_grad():
+        for layer, (matrix, bias) in _GRU.items():
+            getattr(unit, matrix).copy_(torch.from_numpy(weights[f"{layer}.weight"].T))
+            getattr(unit, bias).copy_(torch.from_numpy(weights[f"{layer}.bias"]))
+    return unit
+
+
+def _layers(unit: torch.nn.GRU) -> dict[str, Array]:
+    layers: dict[str, torch.Tensor] = {}
+    for layer, (matrix, bias) in _GRU.items():
+        layers[f"{layer}.weight"] = getattr(unit, matrix).T
+        layers[f"{layer}.bias"] = getattr(unit, bias)
+    return as_arrays(layers)
