@@ -12,8 +12,8 @@ present state, the simulator's step from it):
 Chung's memory takes z too. Theirs is a "decoupled conditional" network; what it decouples, the
 sizes of its layers, its training, and which restitution their simulator was given are not known
 to us. Here the memory is decoupled from z: as z says nothing that x does not, nothing is lost
-once x was seen, and training is ten times as fast. The ball's own restitution is hidden: it shows
-in the residuals of past impacts only.
+once x was seen, and torch's own recurrent unit can run a whole drop. The ball's restitution is
+hidden: it shows in the residuals of past impacts only.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Trains the VRNN hybrid: the evidence lower bound, along whole drops."""
+"""Trains the VRNN hybrid: evidence lower bound and error of the forecast, along whole drops."""
 
 from __future__ import annotations
 
@@ -24,30 +24,41 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-_GRU = {"memory.input": ("weight_ih_l0", "bias_ih_l0"), "memory.own": ("weight_hh_l0", "bias_hh_l0")}
+_GRU = {
+    "memory.input": ("weight_ih_l0", "bias_ih_l0"),
+    "memory.own": ("weight_hh_l0", "bias_hh_l0"),
+}
 """What torch calls the layers of its recurrent unit."""
 
 
 @dataclass(frozen=True)
 class VrnnRecipe:
-    """How the network is trained: Adam, one cycle of the learning rate.
+    """How the network is trained: Adam, one cycle of the learning rate, 15 times over the drops.
+
+    The loss is the squared error of the forecast plus the evidence lower bound at a small weight.
+    By the bound alone the network never learns to remember an impact: in all the steps in which
+    nothing happens it gains more by claiming a smaller deviation, and its forecast is no better
+    than the simulator's own (0.019 cm one step ahead, 1.4 cm after 100 steps seen; as it is here
+    0.011 and 0.7 cm).
 
     Attributes:
         batch: drops at a time.
         keep: added to the first bias of the gate that keeps the memory: an impact is to be
-            remembered for a hundred steps in which nothing happens.
-        least_deviation: of the decoder, in units of the largest residual.
+            remembered for a hundred steps.
+        bound: weight of the evidence lower bound, in nats a step.
+        forecast: weight of the mean squared error, in units of the largest residual.
+        least_deviation: of the decoder, in the same units.
         most_gradient: its norm is clipped there.
     """
 
     sizes: Sizes = field(default_factory=Sizes)
-    epochs: int = 30
+    epochs: int = 15
     batch: int = 25
-    learning_rate: float = 5e-3
+    learning_rate: float = 1e-2
     keep: float = 3.0
-    beta: float = 0.5
-    unit: float = 1e-3
-    least_deviation: float = 1e-3
+    bound: float = 0.03
+    forecast: float = 1e3
+    least_deviation: float = 0.01
     most_gradient: float = 1.0
 
 
@@ -70,7 +81,7 @@ def train_vrnn(drops: Transitions, recipe: VrnnRecipe, seed: int, progress: Prog
     given = torch.tensor(conditions.swapaxes(0, 1), dtype=torch.float32)
     first = first_weights(recipe.sizes.layers(), np.random.default_rng(seed))
     first["memory.input.bias"][recipe.sizes.memory : 2 * recipe.sizes.memory] += recipe.keep
-    gru = _recurrent_unit(first, recipe.sizes)
+    gru = recurrent_unit(first, recipe.sizes)
     weights = as_tensors({name: value for name, value in first.items() if "memory." not in name})
     trained = [*weights.values(), *gru.parameters()]
     optimizer = torch.optim.Adam(trained)
@@ -103,7 +114,7 @@ def _loss(
     memory: torch.Tensor,
     generator: torch.Generator,
 ) -> torch.Tensor:
-    """The negative evidence lower bound, a step, of whole drops with the memory before each."""
+    """Of whole drops, with the memory before each step; shapes (T, B, ...)."""
     import torch
 
     q_mean, q_log = gaussian(weights, "encoder", residual, memory, condition)
@@ -113,12 +124,14 @@ def _loss(
     divergence = (p_log - q_log + (gap - 1) / 2).sum(dim=-1)
     mean, log = gaussian(weights, "decoder", latent, memory, condition)
     deviation = log.exp() + recipe.least_deviation
-    surprise = (((residual - mean) / deviation) ** 2 / 2 + deviation.log())
-    surprise = (surprise * deviation.detach() ** (2 * recipe.beta) / recipe.unit).sum(dim=-1)
-    return (surprise + divergence).mean()
+    surprise = (((residual - mean) / deviation) ** 2 / 2 + deviation.log()).sum(dim=-1)
+    forecast, _ = gaussian(weights, "decoder", p_mean, memory, condition)
+    squared = ((residual - forecast) ** 2).mean()
+    return recipe.bound * (surprise + divergence).mean() + recipe.forecast * squared
 
 
-def _recurrent_unit(weights: Weights, sizes: Sizes) -> torch.nn.GRU:
+def recurrent_unit(weights: Weights, sizes: Sizes) -> torch.nn.GRU:
+    """The memory as torch has it, with these weights."""
     import torch
 
     inputs = sizes.layers()["memory.input"][0]
