@@ -130,7 +130,7 @@ def one_step_errors(
     asked: list[tuple[str, Stepper, tuple[str, ...]]] = [
         ("neural", Memoryless(neural), ("ahead", "seen", "rollout")),
         ("hybrid", hybrid, ("ahead", "seen", "rollout")),
-        ("middle", Memoryless(EngineStep()), ("ahead", "rollout")),
+        ("middle", Memoryless(EngineStep()), ("ahead", "seen", "rollout")),
         ("still", Memoryless(stand_still), ("ahead",)),
     ]
     truth = target_states(targets)

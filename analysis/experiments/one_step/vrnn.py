@@ -64,7 +64,8 @@ class Scales:
     Attributes:
         offset: mean state, shape (2,).
         spread: standard deviation of states, shape (2,).
-        residual: what a residual of 1 is, shape (2,).
+        residual: what a residual of 1 is, shape (2,): a tenth of the largest, about that of a
+            middling impact. They are too rare for their standard deviation to be of use.
     """
 
     offset: Array
@@ -76,7 +77,7 @@ class Scales:
         """Of training data."""
         states = drops.states.reshape(-1, 2)
         residuals = (drops.states[:, 1:] - drops.simulated).reshape(-1, 2)
-        return Scales(states.mean(axis=0), states.std(axis=0), np.abs(residuals).max(axis=0))
+        return Scales(states.mean(axis=0), states.std(axis=0), np.abs(residuals).max(axis=0) / 10)
 
     def condition(self, states: Array, simulated: Array) -> Array:
         """c, shape (..., 4), of states and the simulator's step from them, shape (..., 2)."""

@@ -46,7 +46,7 @@ class VrnnRecipe:
         keep: added to the first bias of the gate that keeps the memory: an impact is to be
             remembered for a hundred steps.
         bound: weight of the evidence lower bound, in nats a step.
-        forecast: weight of the mean squared error, in units of the largest residual.
+        forecast: weight of the mean squared error, in units of a tenth of the largest residual.
         least_deviation: of the decoder, in the same units.
         most_gradient: its norm is clipped there.
     """
@@ -57,8 +57,8 @@ class VrnnRecipe:
     learning_rate: float = 1e-2
     keep: float = 3.0
     bound: float = 0.03
-    forecast: float = 1e3
-    least_deviation: float = 0.01
+    forecast: float = 10.0
+    least_deviation: float = 0.1
     most_gradient: float = 1.0
 
 
