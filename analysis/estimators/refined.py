@@ -28,6 +28,7 @@ _SCAN_SDS = 4.0
 _LEAST_REACH = 1e-4
 _FEWEST = 4
 _PROBE = 0.01
+_BLIND_REACH = 0.03
 _CONSISTENT_SDS = 3.0
 _SAME = 1e-10
 
@@ -75,25 +76,38 @@ class RefinedTuneNet:
                 values = problem.clamp(values + self._residual(look, problem))
             else:
                 line = _next(visited, line, problem)
-                values = problem.clamp(np.array([line.value]))
+                values = problem.clamp(np.array([line.value if line else _best(visited)[0]]))
             steps.append(Step(values, problem.rollouts))
-        if line is not None and rollouts > problem.rollouts:
-            reach = max(_SCAN_SDS * line.sd, _LEAST_REACH)
-            steps += _local_search(problem, values, reach, rollouts)
+            if k >= _NETWORK_STEPS and line is None:
+                break
+        if rollouts > problem.rollouts:
+            reach = max(_SCAN_SDS * line.sd, _LEAST_REACH) if line else _BLIND_REACH
+            search = Search(problem, rollouts, least=_cost(_best(visited)))
+            steps += _local_search(search, problem, values, reach)
         return Trace(tuple(steps))
 
     def _residual(self, look: Look, problem: Problem) -> Array:
         return self._model(look.observation.values[None], problem.target.values[None])[0]
 
 
-def _next(visited: list[Visit], line: Line | None, problem: Problem) -> Line:
+def _cost(visit: Visit) -> float:
+    return float(np.linalg.norm(visit[1]))
+
+
+def _best(visited: list[Visit]) -> Visit:
+    return min(visited, key=_cost)
+
+
+def _next(visited: list[Visit], line: Line | None, problem: Problem) -> Line | None:
     """Where to look next: half way back from a place that the last line led to in vain."""
     if line is not None and line.samples:
         here, before = visited[-1], line.before
         size = [float(np.linalg.norm(misfit[: line.samples])) for _, misfit in (here, before)]
         if size[0] > size[1]:
             return replace(line, value=(here[0] + before[0]) / 2)
-    return line_through(visited, problem) or _probe(visited[-1], problem)
+    if all(abs(value - visited[-1][0]) <= _SAME for value, _ in visited):
+        return _probe(visited[-1], problem)
+    return line_through(visited, problem)
 
 
 def line_through(visited: list[Visit], problem: Problem) -> Line | None:
@@ -132,7 +146,7 @@ def line_through(visited: list[Visit], problem: Problem) -> Line | None:
 
 
 def _probe(visit: Visit, problem: Problem) -> Line:
-    """A place near by, where all rollouts so far were alike: the next two make a line."""
+    """A place near by, where all rollouts so far were one: it makes a line with them."""
     here = visit[0]
     beside = float(problem.clamp(np.array([here + _PROBE]))[0])
     return Line(beside if beside > here else here - _PROBE, _PROBE, 0, visit)
@@ -144,11 +158,9 @@ def _noise_variance(problem: Problem) -> float:
     return float(np.mean([noise_of(one) ** 2 for one in seen]))
 
 
-def _local_search(problem: Problem, values: Array, reach: float, rollouts: int) -> list[Step]:
+def _local_search(search: Search, problem: Problem, values: Array, reach: float) -> list[Step]:
     """Scan `reach` to either side, then Brent's method about the best place."""
     from scipy.optimize import minimize_scalar
-
-    search = Search(problem, rollouts)
 
     def cost(value: float) -> float:
         return search.cost(np.array([value]))

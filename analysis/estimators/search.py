@@ -27,13 +27,16 @@ class Search:
         problem: what to match.
         rollouts: most rollouts to spend.
         keep_best: the answer is the best place so far; else the last one given to `answer`.
+        least: smallest cost of what was looked at before.
     """
 
-    def __init__(self, problem: Problem, rollouts: int, *, keep_best: bool = True) -> None:
+    def __init__(
+        self, problem: Problem, rollouts: int, *, keep_best: bool = True, least: float = np.inf
+    ) -> None:
         self._problem = problem
         self._rollouts = rollouts
         self._keep_best = keep_best
-        self._least = np.inf
+        self._least = least
         self._steps = [Step(problem.initial, 0)]
 
     def run(self, optimize: Callable[[], object]) -> Trace:

@@ -12,6 +12,7 @@ from analysis.experiments.drop_methods import Method
 from analysis.experiments.drop_networks import Effort, train_networks
 from analysis.experiments.drop_roster import Table, roster
 from analysis.experiments.drop_targets import TARGET_SETS, DropTarget, TargetSet, draw_targets
+from analysis.experiments.intervals import RECORDINGS, interval_coverage
 from analysis.experiments.results import Cell, DropResults, Group, Outcome
 from analysis.experiments.shares import Share, work_all
 from recorders.simulators.contact import CALIBRATED, PAPER, ContactSettings
@@ -25,6 +26,9 @@ NOISE_M = 0.01
 _MOST: Mapping[Group, int] = {"paper": 100, "user": 100, "ours": 100}
 _MOST_NOISY: Mapping[Group, int] = {"paper": 10, "user": 10, "ours": 40}
 _MOST_ABLATION: Mapping[Group, int] = {"paper": 10}
+_RECORDINGS = 2
+"""Recordings for each target, to see how often their intervals hold."""
+
 _CHUNK = 5
 """Targets in a share: few, so that the processes end together."""
 
@@ -103,7 +107,11 @@ def run_drop(order: DropOrder, progress: Progress) -> DropResults:
             columns.append((one, column[0], slice(start, len(shares))))
     done = work_all(shares, order.jobs, progress)
     outcomes = [_outcome(one, method, done[place], order) for one, method, place in columns]
-    return DropResults(order.seeds, order.targets, tuple(outcomes))
+    coverage = [
+        interval_coverage(one, order.seeds, _RECORDINGS * order.targets, order.jobs, progress)
+        for one in (RECORDINGS if order.methods is None else ())
+    ]
+    return DropResults(order.seeds, order.targets, tuple(outcomes), tuple(coverage))
 
 
 def _outcome(one: _Round, method: Method, parts: Sequence[Array], order: DropOrder) -> Outcome:

@@ -42,9 +42,7 @@ class Recording:
 
 RECORDINGS = (
     Recording("falls of 3.5 to 4.5 m, 60 Hz", (3.5, 4.5), (60.0,), 0.0),
-    Recording(
-        "falls of 0.3 to 5 m, 60 to 240 Hz, held first", (0.3, 5.0), (60.0, 120.0, 240.0), 0.5
-    ),
+    Recording("falls of 0.3 to 5 m, 60 to 240 Hz", (0.3, 5.0), (60.0, 120.0, 240.0), 0.5),
 )
 
 

@@ -6,6 +6,7 @@ import csv
 import io
 import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -78,6 +79,7 @@ def drop_json(results: DropResults) -> str:
             "seeds": list(results.seeds),
             "targets": results.targets,
             "summary": summary,
+            "intervals": [asdict(one) for one in results.coverage],
             "rows": drop_rows(results),
             "curves": curves,
         }

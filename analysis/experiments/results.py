@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.experiments.intervals import Coverage
 from analysis.experiments.published import published_error
 
 Array = NDArray[np.float64]
@@ -107,11 +108,13 @@ class DropResults:
     Attributes:
         seeds: of training and of the targets.
         targets: test cases for each seed and cell.
+        coverage: of the intervals of recorded drops; empty where it was not asked for.
     """
 
     seeds: tuple[int, ...]
     targets: int
     outcomes: tuple[Outcome, ...]
+    coverage: tuple[Coverage, ...] = ()
 
     @property
     def cells(self) -> tuple[Cell, ...]:

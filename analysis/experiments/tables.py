@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+from analysis.experiments.intervals import NOISE_M, RESTITUTION, Coverage
 from analysis.experiments.published import ROLLOUTS as PUBLISHED_ROLLOUTS
 from analysis.experiments.results import ROLLOUTS, Cell, DropResults, Outcome
 
 _SPREAD = "median [lowest..highest]"
-_SPREAD_AT = (5, 10, 40)
+_SPREADS_A_LINE = 3
 _AHEAD_AT = (5, 10)
+_COVERAGE_WIDTHS = (36, 8, 10, 9, 9, 9, 8)
 
 
 def drop_tables(results: DropResults) -> str:
@@ -21,6 +23,8 @@ def drop_tables(results: DropResults) -> str:
         blocks.append(_ahead(results, compared))
     ablation = [cell for cell in results.cells if cell.experiment == "ablation"]
     blocks += [_cell_table(cell, results.of(cell)) for cell in ablation]
+    if results.coverage:
+        blocks.append(_coverage_table(results.coverage))
     return "\n\n".join(blocks)
 
 
@@ -33,10 +37,12 @@ def title(cell: Cell) -> str:
 
 
 def short(error: float) -> str:
-    """An error in at most 7 characters: the paper's four places, or two digits if it is less."""
-    if error >= 0.00095:
-        return f"{error:.4f}"
-    return f"{error:.5f}" if error >= 0.000095 else f"{error:.1e}"
+    """An error in at most 6 characters: the paper's four places, or two digits if it is less."""
+    if error < 1e-9:
+        return "<1e-9"
+    if error < 0.000095:
+        return f"{error:.1e}".replace("e-0", "e-")
+    return f"{error:.{4 if error >= 0.00095 else 5}f}".removeprefix("0")
 
 
 def _protocol(results: DropResults) -> str:
@@ -54,15 +60,16 @@ def _cell_table(cell: Cell, outcomes: Sequence[Outcome]) -> str:
     compared = any(one.figures(1).paper for one in outcomes if one.knows(1))
     shown = [n for n in ROLLOUTS if any(one.knows(n) and one.budget >= n for one in outcomes)]
     shown = shown or [ROLLOUTS[0]]
-    spread_at = [n for n in _SPREAD_AT if n in shown][:2] or shown[:1]
-    label = 2 + max(len(_SPREAD), *(len(one.label) for one in outcomes))
-    widths = [label, *(15 if compared and n in PUBLISHED_ROLLOUTS else 8 for n in shown)]
+    label = 1 + max(len(_SPREAD), *(len(one.label) for one in outcomes))
+    widths = [label, *(16 if compared and n in PUBLISHED_ROLLOUTS else 8 for n in shown)]
     rows = [["mean error", *(f"K={n}" for n in shown)]]
     rows += [[one.label, *(_mean(one, n) for n in shown)] for one in outcomes]
-    spreads = [[_SPREAD, *(f"K={n}" for n in spread_at)]]
-    spreads += [[one.label, *(_spread(one, n) for n in spread_at)] for one in outcomes]
     lines = [_line(row, widths) for row in rows]
-    lines += [_line(row, [label, 30, 30]) for row in spreads]
+    for first in range(0, len(shown), _SPREADS_A_LINE):
+        spread_at = shown[first : first + _SPREADS_A_LINE]
+        spreads = [[_SPREAD, *(f"K={n}" for n in spread_at)]]
+        spreads += [[one.label, *(_spread(one, n) for n in spread_at)] for one in outcomes]
+        lines += [_line(row, [label, *(24 for _ in spread_at)]) for row in spreads]
     return "\n".join([title(cell), *lines])
 
 
@@ -84,6 +91,23 @@ def _spread(one: Outcome, rollouts: int) -> str:
         return "-"
     figures = one.figures(rollouts)
     return f"{short(figures.median)} [{short(figures.lowest)}..{short(figures.highest)}]"
+
+
+def _coverage_table(rows: Sequence[Coverage]) -> str:
+    """How often intervals hold the truth, and what the recordings' values are worth."""
+    low, high = RESTITUTION
+    most_cm = 100 * NOISE_M[1]
+    lines = [
+        f"95 % intervals, restitution {low:g} to {high:g}, noise of 0 to {most_cm:g} cm",
+        _line(["recordings", "drops", "answered", "held", "ok", "held", "width"], _COVERAGE_WIDTHS),
+    ]
+    for row in rows:
+        shares = (row.covered, row.ok, row.ok_covered)
+        held, ok, ok_held = (f"{100 * share:.1f} %" for share in shares)
+        cells = [row.label, str(row.targets), str(row.fitted), held, ok, ok_held, short(row.width)]
+        lines.append(_line(cells, _COVERAGE_WIDTHS))
+        lines.append(f"  mean error {short(row.mae)}; the network's alone {short(row.network_mae)}")
+    return "\n".join(lines)
 
 
 def _ahead(results: DropResults, cells: Iterable[Cell]) -> str:
