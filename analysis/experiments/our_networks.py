@@ -1,9 +1,9 @@
 """Our networks for the second experiment: on the paper's simulator and budget, and calibrated.
 
-What the paper's network has against it is not its data but what they are paired into: each pair has
-a drop height of its own, and each height hits the plane at another phase of the engine's steps,
-which moves the rebound by up to 5 %. Rollouts in groups of one height pair up ten times, and in a
-pair of one height the phase is alike on both sides, as it is when tuning.
+Each height of release hits the plane at another phase of the engine's steps, which moves the
+rebound by more than a network may err (docs/physics.md). When tuning, both sides have one height.
+So rollouts are made in groups of one height, and pairs are drawn within them: as in the paper,
+where each height has one pair; but here each rollout is in many.
 """
 
 from __future__ import annotations
