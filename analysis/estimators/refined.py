@@ -30,6 +30,9 @@ _FEWEST = 4
 _PROBE = 0.01
 _BLIND_REACH = 0.03
 _CONSISTENT_SDS = 3.0
+_ENOUGH, _CHANCE = 16, 3.0
+"""Chance hardly leaves a third of the noise's variance in so many samples."""
+
 _SAME = 1e-10
 
 
@@ -130,14 +133,15 @@ def line_through(visited: list[Visit], problem: Problem) -> Line | None:
         return None
     there, other = min(others, key=lambda one: abs(one[0] - here))
     slope = (misfit - other) / (here - there)
-    count = np.cumsum(np.abs(slope) > _SAME)
+    count = np.cumsum(np.abs(slope) > _SAME, dtype=np.intp)
     usable = np.flatnonzero(count >= _FEWEST)
     if not len(usable):
         return None
     power = np.cumsum(slope * slope)[usable]
     product = np.cumsum(slope * misfit)[usable]
+    left = np.clip(np.cumsum(misfit * misfit)[usable] - product**2 / power, 0.0, None)
     values = here - product / power
-    sds = np.sqrt(_noise_variance(problem) / power)
+    sds = np.sqrt(_noise_variance(problem, left / count[usable], count[usable]) / power)
     above = np.maximum.accumulate(values - _CONSISTENT_SDS * sds)
     below = np.minimum.accumulate(values + _CONSISTENT_SDS * sds)
     chosen = int(np.flatnonzero((above <= values) & (values <= below))[-1])
@@ -152,10 +156,19 @@ def _probe(visit: Visit, problem: Problem) -> Line:
     return Line(beside if beside > here else here - _PROBE, _PROBE, 0, visit)
 
 
-def _noise_variance(problem: Problem) -> float:
+def _noise_variance(problem: Problem, left: Array, count: NDArray[np.intp]) -> float:
+    """Of a sample of the target: by its third differences, or less where a line leaves less.
+
+    Args:
+        problem: for the target.
+        left: mean square of what the line leaves of each beginning.
+        count: samples that moved in each.
+    """
     columns = problem.target.values.T
     seen = [column[np.isfinite(column)] for column in columns]
-    return float(np.mean([noise_of(one) ** 2 for one in seen]))
+    noise = float(np.mean([noise_of(one) ** 2 for one in seen]))
+    least = left[count >= _ENOUGH].min(initial=np.inf)
+    return min(noise, _CHANCE * float(least))
 
 
 def _local_search(search: Search, problem: Problem, values: Array, reach: float) -> list[Step]:

@@ -16,12 +16,12 @@ _WIDEST = 98
 
 
 def motion_lines(rows: Sequence[MotionRow], seeds: Sequence[int], targets: int) -> str:
-    """The table: percent and centimetres, mean over the seeds and [lowest..highest] of them."""
+    """The table: percent and centimetres, mean over the seeds and [lowest–highest] of them."""
     drawn = f"seed {seeds[0]}" if len(seeds) == 1 else f"seeds {seeds[0]} to {seeds[-1]}"
     notes = list(dict.fromkeys(row.note for row in rows if row.note))
     lines = [
         f"Error of the predicted height of the ball, Easy; {drawn}, {targets} targets each.",
-        "In brackets: the paper's. [lowest..highest]: of the seeds. A dash: not measured.",
+        "In brackets: the paper's. [lowest–highest]: of the seeds. A dash: not measured.",
         "",
         _line(("method", "note", "given", "error, %", "error, cm")),
     ]
@@ -46,7 +46,7 @@ def _figure(ours: Sequence[float], paper: float | None) -> str:
     published = f" ({paper:g})" if paper is not None else ""
     if not ours:
         return f"-{published}"
-    spread = f" [{_short(min(ours))}..{_short(max(ours))}]" if len(ours) > 1 else ""
+    spread = f" [{_short(min(ours))}–{_short(max(ours))}]" if len(ours) > 1 else ""
     return f"{_short(float(np.mean(ours)))}{published}{spread}"
 
 

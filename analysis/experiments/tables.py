@@ -8,7 +8,7 @@ from analysis.experiments.intervals import NOISE_M, RESTITUTION, Coverage
 from analysis.experiments.published import ROLLOUTS as PUBLISHED_ROLLOUTS
 from analysis.experiments.results import ROLLOUTS, Cell, DropResults, Outcome
 
-_SPREAD = "median [lowest..highest]"
+_SPREAD = "median [lowest–highest]"
 _SPREADS_A_LINE = 3
 _AHEAD_AT = (5, 10)
 _COVERAGE_WIDTHS = (36, 8, 10, 9, 9, 9, 8)
@@ -50,7 +50,7 @@ def _protocol(results: DropResults) -> str:
     seeds = f"seed {first}" if first == last else f"seeds {first} to {last}"
     return (
         f"Mean absolute error of the restitution after K rollouts; {seeds}, {results.targets} "
-        "targets each.\nIn brackets: the paper's. [lowest..highest]: of the seeds' means. "
+        "targets each.\nIn brackets: the paper's. [lowest–highest]: of the seeds' means. "
         "A dash: not run that far."
     )
 
@@ -90,7 +90,7 @@ def _spread(one: Outcome, rollouts: int) -> str:
     if not one.knows(rollouts):
         return "-"
     figures = one.figures(rollouts)
-    return f"{short(figures.median)} [{short(figures.lowest)}..{short(figures.highest)}]"
+    return f"{short(figures.median)} [{short(figures.lowest)}–{short(figures.highest)}]"
 
 
 def _coverage_table(rows: Sequence[Coverage]) -> str:

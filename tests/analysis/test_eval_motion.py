@@ -27,7 +27,7 @@ def test_the_table_holds_means_spread_and_the_papers_figures():
     text = motion_lines(rows(), SEEDS, 100)
     zero = next(line for line in text.splitlines() if line.startswith("Zero"))
     assert " ".join(zero.split()).startswith(
-        "Zero 1 rollout 3.00 (100) [2.00..4.00] 0.0050 (97) [0.0040..0.0060]"
+        "Zero 1 rollout 3.00 (100) [2.00–4.00] 0.0050 (97) [0.0040–0.0060]"
     )
     unmeasured = next(line for line in text.splitlines() if line.startswith("TuneNet (Obs)"))
     assert " ".join(unmeasured.split()).startswith("TuneNet (Obs) rollout - (6.03) - (5.7)")
