@@ -4,31 +4,48 @@ The network finds the right basin of a cost that has dozens; from there least sq
 samples is efficient, and its profile likelihood says how sure the value is. What else is unknown
 of a recording is fitted with it: the impact's time, the fall time, the drop height, the level of
 the table.
+
+No real ball is ideal: its restitution falls with speed, and the air slows it. Beside the ideal ball
+stands one that does both, and the answer is the average of the two, weighted by how well each
+explains the samples (Bayesian model averaging, linear about the ideal fit). So the interval tells
+of what the samples cannot exclude, not only of their noise.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.observe.free_fall import Drop
-from recorders.simulators.bounce import bounce_heights, impact_places
+from recorders.simulators.bounce import Bounce
 
 Array = NDArray[np.float64]
+Residual = Callable[[Array], Array]
 
 _FALL_SEEN = 0.95
 _REST_SEEN = 1.0
-_FLIGHTS = (1, 2, 3, 5, 8, 13, 1000)
+_FLIGHTS = (1, 2, 4, 8, 400)
+_SLOPE_SD = 0.1
+_DRAG_SD_1_M = 0.03
+_REAL = 0.5
+"""Priors: of p; of the deceleration over speed squared; of a ball that shows either."""
+
 _EXACT = 1e-4
 """Of the drop height: what no recording, and no model of a ball, is held to."""
 
 _LEAST_HALF_WIDTH = 2e-5
+_TAILS = (0.025, 0.975)
+_TWO_SIDED = 1.96
+_STEP = 1e-3
 _FIT_SD = 4.0
-_NUISANCE = 4
 _FEWEST = 12
+_UNKNOWNS = 5
+_AT_IMPACT = 1.5
+"""Samples to either side of an impact that a filter rounds."""
 
 
 @dataclass(frozen=True)
@@ -36,15 +53,17 @@ class BounceFit:
     """A fitted drop.
 
     Attributes:
-        restitution: at the first impact, and at all that were fitted.
-        interval95: of the restitution, by profile likelihood.
-        flights: how many were fitted: as many as one restitution explains to within the noise.
+        restitution: at the first impact.
+        interval95: of the restitution.
+        real: probability that the ball shows drag or a restitution that depends on speed.
+        flights: most that were fitted.
         residual_m: root mean square of what the fit leaves.
         samples: how many it was fitted to.
     """
 
     restitution: float
     interval95: tuple[float, float]
+    real: float
     flights: int
     residual_m: float
     samples: int
@@ -52,154 +71,268 @@ class BounceFit:
 
 def fit_bounce(drop: Drop, initial: float) -> BounceFit | None:
     """Fit the drop from `initial`, the network's restitution; None where too little is seen."""
+    start = np.array(
+        [
+            float(np.clip(initial, 0.02, 1.0)),
+            drop.impact_s,
+            drop.fall_time_s,
+            drop.drop_height_m,
+            drop.contact_m,
+        ]
+    )
     best: _Fit | None = None
     for count in _FLIGHTS:
-        start = best.unknowns if best else _first(drop, initial)
-        window = _window(drop, start, count)
-        if best is not None and np.count_nonzero(window) == len(best.seconds):
-            continue
+        begin = best.unknowns if best else start
+        window = _window(drop, begin, count)
         if np.count_nonzero(window) < _FEWEST:
             continue
-        fit = _Fit.to(drop.seconds[window], drop.heights_m[window], start, count)
-        if best is not None and not fit.within(drop.noise_m):
+        if best is not None and np.count_nonzero(window) == len(best.seconds):
+            continue
+        noise_m = max(drop.noise_m, best.sd) if best else drop.noise_m
+        fit = _Fit.to(drop.seconds[window], drop.heights_m[window], begin, count, noise_m)
+        if best is not None and not fit.within(noise_m):
             break
         best = fit
     if best is None:
         return None
+    best = best.without_rounded_impacts()
+    answer = best.averaged()
     return BounceFit(
-        restitution=best.restitution,
-        interval95=best.interval95(),
+        restitution=answer.mean,
+        interval95=answer.interval95(),
+        real=answer.real,
         flights=best.flights,
         residual_m=best.sd,
         samples=len(best.seconds),
     )
 
 
-def _first(drop: Drop, restitution: float) -> Array:
-    """Restitution, impact [s], fall time [s], drop height [m], contact [m]."""
-    return np.array(
-        [restitution, drop.impact_s, drop.fall_time_s, drop.drop_height_m, drop.contact_m]
-    )
-
-
 def _window(drop: Drop, unknowns: Array, flights: int) -> NDArray[np.bool_]:
     """The samples from most of the fall to the end of so many flights, and of a short rest."""
     restitution, impact_s, fall_s = unknowns[:3]
-    end = float(impact_places(restitution, flights + 1)[-1])
-    rest = 2 * restitution / max(1 - restitution, 1e-9)
-    if end > 0.98 * rest:
-        end = rest + _REST_SEEN
     places = (drop.seconds - impact_s) / fall_s
+    starts, speeds = Bounce(float(restitution)).flights(float(places[-1]))
+    if flights < len(starts):
+        end = starts[flights]
+    else:
+        end = np.inf if speeds[-1] else starts[-1] + _REST_SEEN
     return (places > -_FALL_SEEN) & (places < end)
 
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """Least squares over one window; `unknowns` as `_first` has them."""
+    """Least squares over one window.
+
+    Attributes:
+        unknowns: restitution, impact [s], fall time [s], drop height [m], contact [m].
+        squares: sum of the squared residuals [m^2].
+    """
 
     seconds: Array
     heights_m: Array
     unknowns: Array
     flights: int
     squares: float
+    noise_m: float
 
     @classmethod
-    def to(cls, seconds: Array, heights_m: Array, start: Array, flights: int) -> _Fit:
-        """Fit all five."""
+    def to(
+        cls, seconds: Array, heights_m: Array, start: Array, flights: int, noise_m: float
+    ) -> _Fit:
+        """Fit everything."""
         unknowns, squares = _solve(_residual(seconds, heights_m), start)
-        return cls(seconds, heights_m, unknowns, flights, squares)
-
-    @property
-    def restitution(self) -> float:
-        return float(self.unknowns[0])
-
-    @property
-    def freedom(self) -> int:
-        return len(self.seconds) - _NUISANCE - 1
+        return cls(seconds, heights_m, unknowns, flights, squares, noise_m)
 
     @property
     def sd(self) -> float:
-        return float(np.sqrt(self.squares / self.freedom))
+        return float(np.sqrt(self.squares / max(len(self.seconds) - _UNKNOWNS, 1)))
 
     def within(self, noise_m: float) -> bool:
         """Whether what is left is noise: its variance within 4 standard deviations of it."""
-        allowed = noise_m**2 * (1 + _FIT_SD * np.sqrt(2 / self.freedom))
+        freedom = max(len(self.seconds) - _UNKNOWNS, 1)
+        allowed = noise_m**2 * (1 + _FIT_SD * np.sqrt(2 / freedom))
         return self.sd**2 < allowed + (_EXACT * self.unknowns[3]) ** 2
 
-    def interval95(self) -> tuple[float, float]:
-        """Where fixing the restitution costs no more than chance would."""
-        from scipy.stats import f
+    def without_rounded_impacts(self) -> _Fit:
+        """Where neighbours lean the same way a filter was at work: it rounds the impacts."""
+        if self._correlation_time() == 1:
+            return self
+        restitution, impact_s, fall_s = self.unknowns[:3]
+        places = (self.seconds - impact_s) / fall_s
+        starts, _ = Bounce(float(restitution)).flights(float(places[-1]))
+        reach = _AT_IMPACT * float(np.median(np.diff(places)))
+        near = np.abs(places[:, None] - starts).min(axis=1) < reach
+        if np.count_nonzero(~near) < 2 * _FEWEST:
+            return self
+        kept = self.seconds[~near], self.heights_m[~near]
+        return _Fit.to(*kept, self.unknowns, self.flights, self.noise_m)
 
+    def averaged(self) -> _Average:
+        """The ideal ball and the real one, by how well each explains the samples.
+
+        The real ball's two parameters have normal priors; with them, and linear about the ideal
+        fit, both the evidence and what they do to the restitution are in closed form.
+        """
+        from scipy.stats import t
+
+        worth = self._correlation_time()
+        freedom = max(len(self.seconds) / worth - _UNKNOWNS, 3.0)
+        variance = self.squares / freedom / worth + (_EXACT / 10 * self.unknowns[3]) ** 2
         residual = _residual(self.seconds, self.heights_m)
-        most = self.squares * (1 + f.ppf(0.95, 1, self.freedom) * self._widening() / self.freedom)
-
-        def excess(restitution: float, start: Array) -> tuple[float, Array]:
-            nuisance, squares = _solve(
-                lambda others: residual(np.array([restitution, *others])), start
-            )
-            return squares - float(most), nuisance
-
-        low = self._end(excess, -1.0)
-        high = self._end(excess, 1.0)
-        return (
-            max(0.0, min(low, self.restitution - _LEAST_HALF_WIDTH)),
-            min(1.0, max(high, self.restitution + _LEAST_HALF_WIDTH)),
+        slopes = _slopes(residual, self.unknowns)
+        extra = self._real_slopes()
+        inverse = np.linalg.pinv(slopes)
+        across = extra - slopes @ (inverse @ extra)
+        priors = np.array([_SLOPE_SD, _DRAG_SD_1_M * self.unknowns[3]])
+        scaled = across * priors / np.sqrt(variance * worth)
+        precision = scaled.T @ scaled + np.eye(2)
+        pull = -scaled.T @ residual(self.unknowns) / np.sqrt(variance * worth)
+        found = np.linalg.solve(precision, pull)
+        log_odds = 0.5 * float(pull @ found) - 0.5 * float(np.linalg.slogdet(precision)[1])
+        moves = -(inverse @ extra)[0] * priors  # of the restitution, for one prior deviation each
+        wider = float(moves @ np.linalg.solve(precision, moves))
+        value = float(self.unknowns[0])
+        allowed = variance * worth * float(t.ppf(0.975, freedom)) ** 2
+        reach = [max(abs(self._end(side, allowed) - value), _LEAST_HALF_WIDTH) for side in (-1, 1)]
+        odds = _REAL / (1 - _REAL) * np.exp(min(log_odds, 50.0))
+        return _Average(
+            ideal=value,
+            shift=float(moves @ found),
+            sds=(reach[0] / _TWO_SIDED, reach[1] / _TWO_SIDED),
+            wider=wider,
+            real=float(odds / (1 + odds)),
         )
 
-    def _end(self, excess: Callable[[float, Array], tuple[float, Array]], side: float) -> float:
-        """The restitution on one side at which the excess is 0: doubled steps, then halved."""
-        inside, nuisance = self.restitution, self.unknowns[1:]
-        step = 1e-6
-        outside = inside
-        while True:
-            outside = float(np.clip(inside + side * step, 0.0, 1.0))
-            over, found = excess(outside, nuisance)
-            if over > 0:
-                break
-            inside, nuisance = outside, found
-            if outside in {0.0, 1.0}:
-                return outside
-            step *= 2
+    def _real_slopes(self) -> Array:
+        """What slope and drag do to the heights, shape (samples, 2)."""
+        restitution, impact_s, fall_s, drop_m, _ = (float(one) for one in self.unknowns)
+        places = (self.seconds - impact_s) / fall_s
+        ideal = Bounce(restitution).heights(places)
+        slope = (Bounce(restitution, _STEP).heights(places) - ideal) / _STEP
+        drag = (Bounce(restitution, 0.0, _STEP).heights(places) - ideal) / _STEP
+        return drop_m * np.column_stack([slope, drag])
+
+    def _end(self, side: float, allowed: float) -> float:
+        """Where on one side the squares are `allowed` more; their root grows all but straight."""
+        residual = _residual(self.seconds, self.heights_m)
+        value, others = float(self.unknowns[0]), self.unknowns[1:]
+        reach, longest = _LEAST_HALF_WIDTH, 1.0
         for _ in range(12):
-            middle = (inside + outside) / 2
-            over, found = excess(middle, nuisance)
-            if over > 0:
-                outside = middle
+            at = float(np.clip(value + side * reach, 0.0, 1.0))
+            found, squares = _solve(
+                lambda rest, at=at: residual(np.array([at, *rest])), others, free=False
+            )
+            share = np.sqrt(max(squares - self.squares, 0.0) / max(allowed, 1e-300))
+            if 0.95 < share < 1.05 or (at in {0.0, 1.0} and share < 1):
+                return at
+            if share > 1:
+                longest = min(longest, reach)
             else:
-                inside, nuisance = middle, found
-        return outside
+                others = found
+            reach = min(reach * float(np.clip(1 / max(share, 1e-3), 0.1, 8.0)), 0.98 * longest)
+        return float(np.clip(value + side * reach, 0.0, 1.0))
 
-    def _widening(self) -> float:
-        """How much more variance neighbours that lean the same way bring (AR(1))."""
+    def _correlation_time(self) -> float:
+        """How many samples are worth one: 1 for white noise, more where neighbours lean one way."""
         left = _residual(self.seconds, self.heights_m)(self.unknowns)
-        lean = float(left[1:] @ left[:-1] / max(left @ left, 1e-300))
-        if lean < 2 / np.sqrt(len(left)):
+        count, power = len(left), float(left @ left)
+        lags = [float(left[lag:] @ left[:-lag]) / power for lag in range(1, count // 4)]
+        chance = 2 / np.sqrt(count)
+        if not lags or lags[0] < chance:
             return 1.0
-        return (1 + lean) / (1 - min(lean, 0.95))
+        lasting = next((at for at, one in enumerate(lags) if one < chance), len(lags))
+        first = min(lags[0] + _UNKNOWNS * (1 + lags[0]) / count, 0.98)  # fitting takes that away
+        return max(1 + 2 * sum(lags[:lasting]), (1 + first) / (1 - first) if lasting > 2 else 1.0)
 
 
-def _residual(seconds: Array, heights_m: Array) -> Callable[[Array], Array]:
+@dataclass(frozen=True)
+class _Average:
+    """Two normal distributions of the restitution, the ideal ball's and the real one's.
+
+    Attributes:
+        ideal: its value for the ideal ball.
+        shift: how far that of the real one is from there.
+        sds: standard deviations of the ideal one, to below and above.
+        wider: variance that the real one has more.
+        real: weight of the real one.
+    """
+
+    ideal: float
+    shift: float
+    sds: tuple[float, float]
+    wider: float
+    real: float
+
+    @property
+    def mean(self) -> float:
+        return float(np.clip(self.ideal + self.real * self.shift, 0.0, 1.0))
+
+    def interval95(self) -> tuple[float, float]:
+        low, high = (self._quantile(share, sd) for share, sd in zip(_TAILS, self.sds, strict=True))
+        return max(0.0, min(low, self.mean)), min(1.0, max(high, self.mean))
+
+    def _quantile(self, share: float, sd: float) -> float:
+        from scipy.optimize import brentq
+        from scipy.stats import norm
+
+        both = (
+            (self.ideal, sd, 1 - self.real),
+            (
+                self.ideal + self.shift,
+                float(np.hypot(sd, np.sqrt(self.wider))),
+                self.real,
+            ),
+        )
+        ends = [middle + side * 9 * wide for middle, wide, _ in both for side in (-1, 1)]
+
+        def excess(value: float) -> float:
+            return (
+                sum(
+                    float(weight * norm.cdf((value - middle) / wide))
+                    for middle, wide, weight in both
+                )
+                - share
+            )
+
+        found: Any = brentq(excess, min(ends), max(ends), xtol=1e-9)
+        return float(found)
+
+
+def _residual(seconds: Array, heights_m: Array) -> Residual:
+    """What the ideal ball leaves at each sample [m]."""
+
     def residual(unknowns: Array) -> Array:
         restitution, impact_s, fall_s, drop_m, contact_m = unknowns
         places = (seconds - impact_s) / fall_s
-        return contact_m + drop_m * bounce_heights(places, restitution) - heights_m
+        return contact_m + drop_m * Bounce(float(restitution)).heights(places) - heights_m
 
     return residual
 
 
-def _solve(residual: Callable[[Array], Array], start: Array) -> tuple[Array, float]:
-    """Gauss-Newton with halved steps; the solution and its sum of squares."""
+def _slopes(residual: Residual, values: Array) -> Array:
+    left = residual(values)
+    moves = np.diag(np.full(len(values), 1e-7))
+    return np.column_stack([(residual(values + move) - left) / 1e-7 for move in moves])
+
+
+def _solve(residual: Residual, start: Array, *, free: bool = True) -> tuple[Array, float]:
+    """Gauss-Newton with shortened steps; the solution and its sum of squares.
+
+    Args:
+        residual: of the unknowns.
+        start: those of a `_Fit`.
+        free: whether the restitution is among them.
+    """
+
+    def allowed(values: Array) -> Array:
+        return np.concatenate([np.clip(values[:1], 0.0, 1.0), values[1:]]) if free else values
+
     values, left = start, residual(start)
     squares = float(left @ left)
     for _ in range(20):
-        steps = 1e-7 * np.maximum(np.abs(values), 1e-2)
-        slopes = np.column_stack(
-            [(residual(values + move) - left) / move.sum() for move in np.diag(steps)]
-        )
-        whole = np.linalg.lstsq(slopes, -left, rcond=None)[0]
-        for share in (1.0, 0.5, 0.25, 0.1, 0.02):
-            tried = values + share * whole
-            tried[:1] = np.clip(tried[:1], 0.0, 1.0) if len(tried) > _NUISANCE else tried[:1]
+        whole = np.linalg.lstsq(_slopes(residual, values), -left, rcond=None)[0]
+        for share in (1.0, 0.5, 0.2, 0.05):
+            tried = allowed(values + share * whole)
             tried_left = residual(tried)
             tried_squares = float(tried_left @ tried_left)
             if tried_squares < squares:
@@ -208,6 +341,6 @@ def _solve(residual: Callable[[Array], Array], start: Array) -> tuple[Array, flo
             break
         gained = squares - tried_squares
         values, left, squares = tried, tried_left, tried_squares
-        if gained < 1e-9 * squares:
+        if gained < 1e-7 * squares:
             break
     return values, squares

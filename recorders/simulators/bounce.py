@@ -1,49 +1,94 @@
-"""A bounce without drag in closed form: one curve that depends on the restitution alone.
+"""A bounce in closed form: a restitution, how it falls with speed, and the air's drag.
 
-Time s in fall times after the first impact, height u above contact in drop heights. The ball falls
-from u = 1 at s = -1; every impact keeps `restitution` of the speed.
+Time s in sqrt(2 H / g) after the first impact, height u above contact in drop heights H, so that
+u'' = -2 - drag u' |u'|. Without drag the ball falls from u = 1 at s = -1, and n impacts later
+u = x (w - x), with x the time since that impact and w the speed that it left.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+_MOST_FLIGHTS = 400
+_SLOWEST = 1e-5
+_NO_DRAG = 1e-7
 
-def bounce_heights(places: Array, restitution: float) -> Array:
-    """Heights u [drop heights] at `places` s [fall times], shape (T,).
 
-    With e the restitution, flight n = 0, 1, ... starts at s_n = 2 e (1 - e^n) / (1 - e), and in it
-    u = x (2 e^(n+1) - x), x = s - s_n. Before the fall u is 1; after the last flight it is 0.
+@dataclass(frozen=True)
+class Bounce:
+    """A ball.
+
+    Attributes:
+        restitution: at the first impact, e_1.
+        slope: p of e_n = e_1 (v_n / v_1)^-p: how the restitution falls with the impact's speed.
+        drag: quadratic drag, deceleration over speed squared, times the drop height.
     """
-    fall = 1.0 - np.clip(places + 1.0, 0.0, None) ** 2
-    flight = _flight_of(places, restitution)
-    after = places - _start(flight, restitution)
-    rise = 2.0 * restitution ** (flight + 1.0)
-    return np.where(places < 0.0, fall, np.clip(after * (rise - after), 0.0, None))
 
+    restitution: float
+    slope: float = 0.0
+    drag: float = 0.0
 
-def impact_places(restitution: float, count: int) -> Array:
-    """The first `count` impacts s_n [fall times], the first at 0, shape (count,)."""
-    return _start(np.arange(float(count)), restitution)
+    def heights(self, places: Array) -> Array:
+        """Heights u [drop heights] at `places` s, shape (T,); 1 before the fall, 0 after all."""
+        starts, speeds = self.flights(float(places.max(initial=0.0)))
+        flight = np.clip(np.searchsorted(starts, places, side="right") - 1, 0, None)
+        after = np.clip(places - starts[flight], 0.0, None)
+        return np.where(places < 0.0, self._fall(places), self._flight(after, speeds[flight]))
 
+    def flights(self, last: float) -> tuple[Array, Array]:
+        """When each flight up to `last` starts, and with what speed; the first starts at 0."""
+        starts, speeds = [0.0], [self.restitution * self._fall_speed(1.0)]
+        first = self._fall_speed(1.0)
+        while starts[-1] <= last and len(starts) < _MOST_FLIGHTS and speeds[-1] > _SLOWEST:
+            apex, lasted = self._apex(speeds[-1])
+            impact = self._fall_speed(apex)
+            kept = min(self.restitution * (impact / first) ** -self.slope, 1.0)
+            starts.append(starts[-1] + lasted)
+            speeds.append(kept * impact)
+        if speeds[-1] <= _SLOWEST:
+            speeds[-1] = 0.0
+        return np.array(starts), np.array(speeds)
 
-def _start(flight: Array, restitution: float) -> Array:
-    if restitution == 1.0:
-        return 2.0 * flight
-    return 2.0 * restitution * (1.0 - restitution**flight) / (1.0 - restitution)
+    def _fall_speed(self, height: float) -> float:
+        """At the end of a fall from rest."""
+        if self.drag < _NO_DRAG:
+            return float(2.0 * np.sqrt(height))
+        return float(np.sqrt(-2.0 * np.expm1(-2.0 * self.drag * height) / self.drag))
 
+    def _apex(self, speed: float) -> tuple[float, float]:
+        """Height of a flight, and how long it lasts."""
+        if self.drag < _NO_DRAG:
+            return speed**2 / 4.0, speed
+        height = float(np.log1p(speed**2 * self.drag / 2.0) / (2.0 * self.drag))
+        rise = float(self._angle(speed)) / np.sqrt(2.0 * self.drag)
+        return height, rise + self._fall_time(height)
 
-def _flight_of(places: Array, restitution: float) -> Array:
-    """In which flight each place is; a place after the end of all is in the last of many."""
-    places = np.clip(places, 0.0, None)
-    if restitution == 1.0:
-        return np.floor(places / 2.0)
-    if restitution == 0.0:
-        return np.zeros_like(places)
-    left = 1.0 - places * (1.0 - restitution) / (2.0 * restitution)  # e^n at the n-th impact
-    most = 1e-12
-    flight = np.floor(np.log(np.clip(left, most, None)) / np.log(restitution))
-    return np.clip(flight, 0.0, None)
+    def _fall_time(self, height: float) -> float:
+        """Of a fall from rest, with drag: arccosh(e^x) / sqrt(2 drag), x = drag height."""
+        x = self.drag * height
+        return float(np.log(np.exp(x) + np.sqrt(np.expm1(2.0 * x))) / np.sqrt(2.0 * self.drag))
+
+    def _angle(self, speed: float | Array) -> Array:
+        return np.arctan(speed * np.sqrt(self.drag / 2.0))
+
+    def _fall(self, places: Array) -> Array:
+        if self.drag < _NO_DRAG:
+            return 1.0 - np.clip(places + 1.0, 0.0, None) ** 2
+        rate = np.sqrt(2.0 * self.drag)
+        lasts = self._fall_time(1.0)
+        since = np.clip(places + lasts, 0.0, lasts)
+        return 1.0 - np.log(np.cosh(rate * since)) / self.drag
+
+    def _flight(self, after: Array, speed: Array) -> Array:
+        if self.drag < _NO_DRAG:
+            return np.clip(after * (speed - after), 0.0, None)
+        rate, angle = np.sqrt(2.0 * self.drag), self._angle(speed)
+        left = angle - rate * after
+        up = np.log(np.cos(np.clip(left, 0.0, None)) / np.cos(angle)) / self.drag
+        down = np.log(np.cosh(np.clip(-left, 0.0, 20.0))) / self.drag
+        return np.clip(up - down, 0.0, None)
