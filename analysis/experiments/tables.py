@@ -143,7 +143,7 @@ def _ahead(results: DropResults, cells: Iterable[Cell]) -> str:
 
 
 def _is_ranked(one: Outcome) -> bool:
-    """One method is ours, whatever the targets say, and those that are told of them do not count."""
+    """Of ours the one named in advance, of the others those that are told of no test target."""
     return not one.is_told and (one.group != "ours" or one.method == _OURS)
 
 
