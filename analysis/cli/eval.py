@@ -21,9 +21,10 @@ _DESCRIPTION = """\
 Repeat an experiment of the TuneNet paper from nothing, training and test targets drawn
 anew for each seed, and print its figures beside the paper's.
 
-  drop    restitution of a bouncing ball from its height: every method of the paper,
-          what a user would pick instead, and ours, by rollouts spent (table 2, figure)
-  motion  where the ball will be: tuned simulators and one-step predictors (table 3)
+  drop       restitution of a bouncing ball from its height: every method of the paper,
+             what a user would pick instead, and ours, by rollouts spent (table 2, figure)
+  motion     where the ball will be: tuned simulators and one-step predictors (table 3)
+  intervals  how often the 95 % intervals of recorded drops hold the truth; part of drop
 
 Needs the libraries of the extra 'eval': pip install 'tunenet-logs[eval]'."""
 
@@ -34,6 +35,21 @@ _EXAMPLES = """\
   tunenet-eval drop --json drop.json --csv drop.csv --png drop.png --rrd drop.rrd
   tunenet-eval motion --json motion.json"""
 
+METHODS = (
+    *("mean", "entropy-search", "cma-es", "direct", "tunenet-paper", "tunenet-paper-code"),
+    *("secant", "brent", "least-squares", "tpe"),
+    *("network", "ours"),
+    *("concatenation", "difference", "antisymmetric"),
+)
+"""Those of `drop_roster`, which takes a second to load."""
+
+_METHODS_HELP = f"""\
+methods of the paper: {", ".join(METHODS[:6])}
+what a user would pick: {", ".join(METHODS[6:10])}
+ours: {", ".join(METHODS[10:12])}
+the ablation, which has no curve in the figure: {", ".join(METHODS[12:])}"""
+
+_FILES = ("json", "csv", "png", "rrd")
 _ONLY_DROP = ("methods", "png", "rrd")
 
 
@@ -41,7 +57,7 @@ def build_parser() -> Parser:
     """The command's arguments."""
     parser = Parser("tunenet-eval", _DESCRIPTION, _EXAMPLES)
     add = parser.add_argument
-    add("experiment", choices=["drop", "motion"], help="which experiment")
+    add("experiment", choices=["drop", "motion", "intervals"], help="which experiment")
     add(
         "--seeds",
         type=whole(1, 1000),
@@ -64,9 +80,9 @@ def build_parser() -> Parser:
         help="test targets for each seed and set (default: 100, as in the paper)",
     )
     jobs_option(parser, "processes")
-    drop = parser.add_argument_group("drop only")
+    drop = parser.add_argument_group("drop only", _METHODS_HELP)
     drop.add_argument(
-        "--methods", metavar="A,B,...", help="only these (a wrong name lists those there are)"
+        "--methods", metavar="A,B,...", help="only these, and no intervals (default: all)"
     )
     drop.add_argument(
         "--png", type=Path, metavar="FILE", help="the figure: error against rollouts, as a picture"
@@ -97,10 +113,10 @@ def _eval(arguments: argparse.Namespace) -> int:
 
     progress = Progress(quiet=arguments.quiet)
     seeds = tuple(range(arguments.first_seed, arguments.first_seed + arguments.seeds))
-    evaluate = _drop if arguments.experiment == "drop" else _motion
-    text, writers = evaluate(arguments, seeds, progress)
+    evaluate = {"drop": _drop, "motion": _motion, "intervals": _intervals}
+    text, writers = evaluate[arguments.experiment](arguments, seeds, progress)
     print(text + "\n")
-    for name in ("json", "csv", "png", "rrd"):
+    for name in _FILES:
         path = getattr(arguments, name)
         if path is not None:
             writers[name](path)
@@ -123,8 +139,13 @@ def _drop(
 
     methods = None
     if arguments.methods is not None:
-        methods = tuple(name.strip() for name in arguments.methods.split(","))
-    roster(methods)
+        methods = tuple(filter(None, (name.strip() for name in arguments.methods.split(","))))
+        if not methods:
+            raise UsageError(f"--methods names none; there is: {', '.join(METHODS)}")
+    chosen = roster(methods)
+    for name in ("png", "rrd"):
+        if getattr(arguments, name) is not None and not chosen.has_curves:
+            raise UsageError(f"--{name}: no method chosen has a curve to draw; leave it out")
     if arguments.png is not None:
         needed("matplotlib")
     order = DropOrder(seeds, arguments.targets, methods, arguments.jobs, _effort(arguments))
@@ -158,6 +179,21 @@ def _motion(
     }
 
 
+def _intervals(
+    arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
+) -> tuple[str, Writers]:
+    from analysis.experiments.intervals import interval_coverages
+    from analysis.experiments.records import intervals_csv, intervals_json
+    from analysis.experiments.tables import coverage_table
+
+    targets = arguments.targets
+    rows = interval_coverages(seeds, targets, arguments.jobs, progress)
+    return coverage_table(rows), {
+        "json": lambda path: _write(path, intervals_json(rows, seeds, targets)),
+        "csv": lambda path: _write(path, intervals_csv(rows)),
+    }
+
+
 def _effort(arguments: argparse.Namespace) -> Effort:
     from analysis.experiments.drop_networks import Effort
 
@@ -174,14 +210,18 @@ def _check(arguments: argparse.Namespace) -> None:
     from analysis.files import check_writable
 
     taken: dict[Path, str] = {}
-    for name in ("json", "csv", "png", "rrd"):
+    for name in _FILES:
         path = getattr(arguments, name)
         if path is None:
             continue
+        if str(path) == "-":
+            raise UsageError(f"--{name} -: is no file; give the name of one")
         other = taken.setdefault(path.resolve(), name)
         if other != name:
             raise UsageError(f"{path}: both --{other} and --{name} name it; give each its own")
         check_writable(path, f"--{name}")
+        if name in ("png", "rrd") and path.suffix != f".{name}":
+            raise UsageError(f"{path}: --{name} writes .{name}; give the file a name that ends so")
 
 
 def _write(path: Path, text: str) -> None:

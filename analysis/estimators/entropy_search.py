@@ -32,7 +32,8 @@ class EntropySearch:
 
     Args:
         bins: smallest and largest value looked at. The authors take those of the *test set's
-            targets*, which no method that has to find them could know.
+            targets*, which no method that has to find them could know. Where they are the same
+            there is one bin, which is the answer after the first rollout.
         seed: of its sampling.
         patience: stops when the estimate has not changed for so many steps in a row; None to go on
             while there are rollouts.
@@ -60,9 +61,12 @@ class EntropySearch:
 
     def _optimize(self, search: Search, problem: Problem) -> None:
         rng = np.random.default_rng(self._seed)
-        bins = np.linspace(*self._bins, _BINS)
+        bins = np.unique(np.linspace(*self._bins, _BINS))
         places, errors = [problem.initial], [search.cost(problem.initial)]
         last, unchanged = -1, 0
+        if len(bins) == 1:
+            search.answer(bins)
+            return
         while self._patience is None or unchanged < self._patience:
             share = self._smallest(np.array(places), np.array(errors), bins, rng)
             best = int(np.argmax(share))

@@ -79,6 +79,11 @@ class Roster:
     names: tuple[str, ...]
     networks: frozenset[str]
 
+    @property
+    def has_curves(self) -> bool:
+        """Whether the figure has anything to show: the ablation is a table only."""
+        return not _ABLATION.keys() >= set(self.names)
+
     def methods(self, table: Table, networks: Networks, truths: Array, seed: int) -> list[Method]:
         """Those of one table, ready.
 
@@ -91,7 +96,7 @@ class Roster:
         """
         everyone = {
             "paper": lambda: _competitors(networks, truths, seed),
-            "calibrated": lambda: _ours(networks.get(nets.OURS_CALIBRATED)),
+            "calibrated": lambda: _on_calibrated(networks, seed),
             "ablation": lambda: _ablation(networks),
         }[table]()
         return [method for method in everyone if method.name in self.names]
@@ -120,6 +125,12 @@ def _competitors(networks: Networks, truths: Array, seed: int) -> list[Method]:
     bins = (float(truths.min()), float(truths.max()))
     papers = paper_methods(trained, float(truths.mean()), bins, seed)
     return [*papers, *user_methods(seed), *_ours(networks.get(nets.OURS))]
+
+
+def _on_calibrated(networks: Networks, seed: int) -> list[Method]:
+    from analysis.experiments.drop_methods import user_methods
+
+    return [*user_methods(seed), *_ours(networks.get(nets.OURS_CALIBRATED))]
 
 
 def _ours(network: Model | None) -> list[Method]:

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from analysis.experiments.curves import FLOOR, PANELS, ErrorCurve, error_curves
 from analysis.experiments.results import DropResults
 from analysis.extras import needed
 from analysis.files import replacing
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_ROOM = 1.3
 _TICKS = (0, 1, 2, 5, 10, 20, 40, 100)
 
 
@@ -21,6 +28,13 @@ def write_figure(results: DropResults, path: Path) -> None:
         OSError: `path` cannot be written.
     """
     needed("matplotlib")
+    figure = draw_figure(results)
+    with replacing(path) as partial:
+        figure.savefig(partial, format="png", dpi=120)
+
+
+def draw_figure(results: DropResults) -> Figure:
+    """The figure, not yet written; every curve and point is inside its axes."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -33,11 +47,18 @@ def write_figure(results: DropResults, path: Path) -> None:
         for curve in error_curves(results, panel):
             handles[curve.label] = _draw(axis, curve)
         _dress(axis, panel)
+    axes[0].set_ylim(*_limits([one for panel in panels for one in error_curves(results, panel)]))
     axes[0].set_ylabel(f"mean absolute error of the restitution (drawn from {FLOOR:g} up)")
     handles["the paper's"] = axes[0].plot([], [], "D", color="0.3", ms=5, mew=0)[0]
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=4)
-    with replacing(path) as partial:
-        figure.savefig(partial, format="png", dpi=120)
+    return figure
+
+
+def _limits(curves: Iterable[ErrorCurve]) -> tuple[float, float]:
+    """Lowest and highest error of all panels, which share the axis, and some room."""
+    shown = [np.concatenate([one.low, one.high, [y for _, y in one.paper]]) for one in curves]
+    errors = np.concatenate(shown)
+    return max(FLOOR, float(errors.min()) / _ROOM), float(errors.max()) * _ROOM
 
 
 def _draw(axis: Any, curve: ErrorCurve) -> Any:
@@ -55,7 +76,6 @@ def _dress(axis: Any, panel: str) -> None:
     axis.set_title(f"GT {panel}")
     axis.set_xlabel("rollouts")
     axis.set_yscale("log")
-    axis.set_ylim(bottom=max(FLOOR, axis.get_ylim()[0]))
     axis.set_xscale("symlog", linthresh=2)
     axis.set_xlim(0, 105)
     axis.set_xticks(_TICKS, [str(tick) for tick in _TICKS])

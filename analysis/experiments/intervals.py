@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,9 @@ Array = NDArray[np.float64]
 
 RESTITUTION = (0.1, 0.95)
 NOISE_M = (0.0, 0.02)
+
+PER_TARGET = 2
+"""Recordings of each kind for each target of the experiment."""
 
 
 @dataclass(frozen=True)
@@ -54,22 +58,36 @@ class Coverage:
         targets: how many were recorded.
         fitted: how many of them were not rejected.
         covered: share of the fitted whose interval holds the truth, whatever their verdict.
+        covered_se: its standard error.
         ok: share of all with the verdict "ok", which show their interval.
         ok_covered: share of those whose interval holds the truth.
+        ok_covered_se: its standard error.
         width: median of the intervals' widths.
         mae: mean absolute error of the fitted.
         network_mae: that of the network's steps alone.
+
+    What nothing was left to tell of is None.
     """
 
     label: str
     targets: int
     fitted: int
-    covered: float
+    covered: float | None
+    covered_se: float | None
     ok: float
-    ok_covered: float
-    width: float
-    mae: float
-    network_mae: float
+    ok_covered: float | None
+    ok_covered_se: float | None
+    width: float | None
+    mae: float | None
+    network_mae: float | None
+
+
+def interval_coverages(
+    seeds: tuple[int, ...], targets: int, jobs: int | None, progress: Progress
+) -> tuple[Coverage, ...]:
+    """Every kind of recording, `PER_TARGET * targets` for each seed."""
+    count = PER_TARGET * targets
+    return tuple(interval_coverage(one, seeds, count, jobs, progress) for one in RECORDINGS)
 
 
 def interval_coverage(
@@ -81,21 +99,39 @@ def interval_coverage(
 ) -> Coverage:
     """`count` recordings for each seed; noise and restitution evenly over their ranges."""
     orders = [order for seed in seeds for order in _orders(recording, count, seed)]
-    rows = observe_all(_tuned, orders, jobs, progress)
+    return coverage_of(recording.label, observe_all(_tuned, orders, jobs, progress))
+
+
+def coverage_of(label: str, rows: Array) -> Coverage:
+    """What rows say, shape (N, 6): truth, value, interval, the network's value, whether ok."""
     fitted = rows[np.isfinite(rows[:, 0])]
     truth, value, low, high, network, ok = fitted.T
     covered, is_ok = (low <= truth) & (truth <= high), ok > 0
     return Coverage(
-        label=recording.label,
+        label=label,
         targets=len(rows),
         fitted=len(fitted),
-        covered=float(covered.mean()),
+        covered=_mean(covered),
+        covered_se=_standard_error(covered),
         ok=float(is_ok.sum() / len(rows)),
-        ok_covered=float(covered[is_ok].mean()),
-        width=float(np.median(high - low)),
-        mae=float(np.abs(value - truth).mean()),
-        network_mae=float(np.abs(network - truth).mean()),
+        ok_covered=_mean(covered[is_ok]),
+        ok_covered_se=_standard_error(covered[is_ok]),
+        width=float(np.median(high - low)) if len(fitted) else None,
+        mae=_mean(np.abs(value - truth)),
+        network_mae=_mean(np.abs(network - truth)),
     )
+
+
+def _mean(values: NDArray[Any]) -> float | None:
+    return float(values.mean()) if len(values) else None
+
+
+def _standard_error(held: NDArray[np.bool_]) -> float | None:
+    """Of a share, by Agresti and Coull (1998): not 0 where all hold."""
+    if not len(held):
+        return None
+    share = (held.sum() + 2) / (len(held) + 4)
+    return float(np.sqrt(share * (1 - share) / (len(held) + 4)))
 
 
 def _orders(recording: Recording, count: int, seed: int) -> list[DropOrder]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from analysis.experiments.results import ROLLOUTS, DropResults, Outcome
+from analysis.experiments.results import ROLLOUTS, TOLD_NOTE, DropResults, Outcome
 from analysis.experiments.tables import short, title
 
 
@@ -16,6 +16,8 @@ def drop_markdown(results: DropResults) -> str:
         f"Mean absolute error after K rollouts, mean over seeds {seeds}, {results.targets} targets "
         "each; in brackets the paper's."
     )
+    if any(one.is_told for one in results.outcomes):
+        head += f"\n\n\\{TOLD_NOTE}"
     tables = [f"## {title(cell)}\n\n{_table(results.of(cell))}" for cell in results.cells]
     return "\n\n".join([head, *tables])
 
@@ -27,7 +29,7 @@ def _table(outcomes: Sequence[Outcome]) -> str:
     lines.append("| --- |" + " ---: |" * len(shown))
     for one in outcomes:
         cells = [_figure(one, n) for n in shown]
-        lines.append(f"| {one.label} | " + " | ".join(cells) + " |")
+        lines.append(f"| {one.shown} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 

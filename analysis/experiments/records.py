@@ -6,11 +6,12 @@ import csv
 import io
 import json
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from analysis.experiments.intervals import Coverage
 from analysis.experiments.results import ROLLOUTS, DropResults, Outcome
 
 if TYPE_CHECKING:
@@ -79,7 +80,7 @@ def drop_json(results: DropResults) -> str:
             "seeds": list(results.seeds),
             "targets": results.targets,
             "summary": summary,
-            "intervals": [asdict(one) for one in results.coverage],
+            **_intervals(results.coverage),
             "rows": drop_rows(results),
             "curves": curves,
         }
@@ -89,6 +90,17 @@ def drop_json(results: DropResults) -> str:
 def drop_csv(results: DropResults) -> str:
     """`drop_rows` as a table; an empty field where the paper has nothing."""
     return _csv(COLUMNS, drop_rows(results))
+
+
+def intervals_json(rows: Sequence[Coverage], seeds: Sequence[int], targets: int) -> str:
+    """Every figure of the intervals; null where nothing was left to tell of."""
+    head = {"experiment": "intervals", "seeds": list(seeds), "targets": targets}
+    return _json({**head, **_intervals(rows)})
+
+
+def intervals_csv(rows: Sequence[Coverage]) -> str:
+    """One row for each kind of recording; an empty field where there is no figure."""
+    return _csv(tuple(one.name for one in fields(Coverage)), [asdict(one) for one in rows])
 
 
 def motion_rows(rows: Sequence[MotionRow], seeds: Sequence[int]) -> list[dict[str, Any]]:
@@ -127,6 +139,11 @@ def motion_json(rows: Sequence[MotionRow], seeds: Sequence[int], targets: int) -
 def motion_csv(rows: Sequence[MotionRow], seeds: Sequence[int]) -> str:
     """`motion_rows` as a table; an empty field where there is no figure."""
     return _csv(MOTION_COLUMNS, motion_rows(rows, seeds))
+
+
+def _intervals(rows: Sequence[Coverage]) -> dict[str, Any]:
+    """Left out where none were measured."""
+    return {"intervals": [asdict(one) for one in rows]} if rows else {}
 
 
 def _keys(one: Outcome, rollouts: int) -> dict[str, Any]:

@@ -19,6 +19,11 @@ Experiment = Literal["drop", "ablation"]
 ROLLOUTS = (1, 5, 10, 40, 100)
 """Budgets at which methods are compared."""
 
+TOLD = ("mean", "entropy-search")
+"""Methods that are told of the test targets what no method could know."""
+
+TOLD_NOTE = "* is told the mean / the range of the test targets, as by its authors: not ranked."
+
 
 @dataclass(frozen=True)
 class Cell:
@@ -75,6 +80,16 @@ class Outcome:
     group: Group
     budget: int
     errors: Array
+
+    @property
+    def is_told(self) -> bool:
+        """Whether it is told something of the test targets, so that it cannot be ranked."""
+        return self.method in TOLD
+
+    @property
+    def shown(self) -> str:
+        """Its label; with a star where it `is_told`."""
+        return self.label + "*" * self.is_told
 
     @property
     def allowed(self) -> int:

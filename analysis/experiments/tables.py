@@ -6,12 +6,16 @@ from collections.abc import Iterable, Sequence
 
 from analysis.experiments.intervals import NOISE_M, RESTITUTION, Coverage
 from analysis.experiments.published import ROLLOUTS as PUBLISHED_ROLLOUTS
-from analysis.experiments.results import ROLLOUTS, Cell, DropResults, Outcome
+from analysis.experiments.results import ROLLOUTS, TOLD_NOTE, Cell, DropResults, Outcome
 
 _SPREAD = "median [lowest–highest]"
 _SPREADS_A_LINE = 3
 _AHEAD_AT = (5, 10)
-_COVERAGE_WIDTHS = (36, 8, 10, 9, 9, 9, 8)
+_OURS = "ours"
+"""The one method that stands for ours; named here, not picked by its errors."""
+
+_NOTHING = 1e-9
+_COVERAGE_WIDTHS = (36, 8, 10, 15, 9, 15, 6)
 
 
 def drop_tables(results: DropResults) -> str:
@@ -24,8 +28,8 @@ def drop_tables(results: DropResults) -> str:
     ablation = [cell for cell in results.cells if cell.experiment == "ablation"]
     blocks += [_cell_table(cell, results.of(cell)) for cell in ablation]
     if results.coverage:
-        blocks.append(_coverage_table(results.coverage))
-    return "\n\n".join(blocks)
+        blocks.append(coverage_table(results.coverage))
+    return "\n\n".join(filter(None, blocks))
 
 
 def title(cell: Cell) -> str:
@@ -38,7 +42,7 @@ def title(cell: Cell) -> str:
 
 def short(error: float) -> str:
     """An error in at most 6 characters: the paper's four places, or two digits if it is less."""
-    if error < 1e-9:
+    if error < _NOTHING:
         return "<1e-9"
     if error < 0.000095:
         return f"{error:.1e}".replace("e-0", "e-")
@@ -48,10 +52,11 @@ def short(error: float) -> str:
 def _protocol(results: DropResults) -> str:
     first, last = results.seeds[0], results.seeds[-1]
     seeds = f"seed {first}" if first == last else f"seeds {first} to {last}"
+    told = f"\n{TOLD_NOTE}" if any(one.is_told for one in results.outcomes) else ""
     return (
         f"Mean absolute error of the restitution after K rollouts; {seeds}, {results.targets} "
         "targets each.\nIn brackets: the paper's. [lowest–highest]: of the seeds' means. "
-        "A dash: not run that far."
+        "A dash: not run that far." + told
     )
 
 
@@ -60,15 +65,15 @@ def _cell_table(cell: Cell, outcomes: Sequence[Outcome]) -> str:
     compared = any(one.figures(1).paper for one in outcomes if one.knows(1))
     shown = [n for n in ROLLOUTS if any(one.knows(n) and one.budget >= n for one in outcomes)]
     shown = shown or [ROLLOUTS[0]]
-    label = 1 + max(len(_SPREAD), *(len(one.label) for one in outcomes))
+    label = 1 + max(len(_SPREAD), *(len(one.shown) for one in outcomes))
     widths = [label, *(16 if compared and n in PUBLISHED_ROLLOUTS else 8 for n in shown)]
     rows = [["mean error", *(f"K={n}" for n in shown)]]
-    rows += [[one.label, *(_mean(one, n) for n in shown)] for one in outcomes]
+    rows += [[one.shown, *(_mean(one, n) for n in shown)] for one in outcomes]
     lines = [_line(row, widths) for row in rows]
     for first in range(0, len(shown), _SPREADS_A_LINE):
         spread_at = shown[first : first + _SPREADS_A_LINE]
         spreads = [[_SPREAD, *(f"K={n}" for n in spread_at)]]
-        spreads += [[one.label, *(_spread(one, n) for n in spread_at)] for one in outcomes]
+        spreads += [[one.shown, *(_spread(one, n) for n in spread_at)] for one in outcomes]
         lines += [_line(row, [label, *(24 for _ in spread_at)]) for row in spreads]
     return "\n".join([title(cell), *lines])
 
@@ -93,7 +98,7 @@ def _spread(one: Outcome, rollouts: int) -> str:
     return f"{short(figures.median)} [{short(figures.lowest)}–{short(figures.highest)}]"
 
 
-def _coverage_table(rows: Sequence[Coverage]) -> str:
+def coverage_table(rows: Sequence[Coverage]) -> str:
     """How often intervals hold the truth, and what the recordings' values are worth."""
     low, high = RESTITUTION
     most_cm = 100 * NOISE_M[1]
@@ -102,48 +107,67 @@ def _coverage_table(rows: Sequence[Coverage]) -> str:
         _line(["recordings", "drops", "answered", "held", "ok", "held", "width"], _COVERAGE_WIDTHS),
     ]
     for row in rows:
-        shares = (row.covered, row.ok, row.ok_covered)
-        held, ok, ok_held = (f"{100 * share:.1f} %" for share in shares)
-        cells = [row.label, str(row.targets), str(row.fitted), held, ok, ok_held, short(row.width)]
+        held = _share(row.covered, row.covered_se)
+        ok, ok_held = f"{100 * row.ok:.1f} %", _share(row.ok_covered, row.ok_covered_se)
+        width, mae, network_mae = (
+            "-" if value is None else short(value)
+            for value in (row.width, row.mae, row.network_mae)
+        )
+        cells = [row.label, str(row.targets), str(row.fitted), held, ok, ok_held, width]
         lines.append(_line(cells, _COVERAGE_WIDTHS))
-        lines.append(f"  mean error {short(row.mae)}; the network's alone {short(row.network_mae)}")
+        lines.append(f"  mean error {mae}; the network's alone {network_mae}")
     return "\n".join(lines)
+
+
+def _share(share: float | None, error: float | None) -> str:
+    """With its standard error."""
+    if share is None or error is None:
+        return "-"
+    return f"{100 * share:.1f} ± {100 * error:.1f} %"
 
 
 def _ahead(results: DropResults, cells: Iterable[Cell]) -> str:
     """Which method is best in each cell, and how ours at 5 rollouts compares with all others."""
-    lines = ["Who is ahead"]
+    lines = []
     for cell in cells:
-        outcomes = results.of(cell)
+        ranked = [one for one in results.of(cell) if _is_ranked(one)]
+        if not ranked:
+            continue
         lines.append(f"  {title(cell)}")
         for n in _AHEAD_AT:
-            best = _best(outcomes, n)
+            best = _best(ranked, n)
             if best is not None:
                 lines.append(f"    at {n:>2}: {best.label}, {short(best.figures(n).mae)}")
-        lines += _ours_against_others(outcomes)
-    return "\n".join(lines)
+        lines += _ours_against_others(ranked)
+    return "\n".join(["Who is ahead", *lines]) if lines else ""
 
 
-def _ours_against_others(outcomes: Sequence[Outcome]) -> list[str]:
-    ours = _best([one for one in outcomes if one.group == "ours"], _AHEAD_AT[0])
-    others = [one for one in outcomes if one.group != "ours"]
+def _is_ranked(one: Outcome) -> bool:
+    """Of ours the one named in advance, of the others those that are told of no test target."""
+    return not one.is_told and (one.group != "ours" or one.method == _OURS)
+
+
+def _ours_against_others(ranked: Sequence[Outcome]) -> list[str]:
+    at = _AHEAD_AT[0]
+    ours = _best([one for one in ranked if one.method == _OURS], at)
     if ours is None:
         return []
-    mine = ours.figures(_AHEAD_AT[0]).mae
+    mine = ours.figures(at).mae
     lines = []
     for n in _AHEAD_AT:
-        best = _best(others, n)
+        best = _best([one for one in ranked if one.method != _OURS], n)
         if best is not None:
             theirs = best.figures(n).mae
             lines.append(
-                f"    {ours.label} at {_AHEAD_AT[0]} ({short(mine)}): {_factor(mine, theirs)} "
+                f"    {ours.label} at {at} ({short(mine)}): {factor(mine, theirs)} "
                 f"{best.label} at {n} ({short(theirs)})"
             )
     return lines
 
 
-def _factor(mine: float, theirs: float) -> str:
-    if mine == theirs:
+def factor(mine: float, theirs: float) -> str:
+    """How an error compares with another in words; two that print as nothing are level."""
+    if mine == theirs or max(mine, theirs) < _NOTHING:
         return "level with"
     ahead = mine < theirs
     less, more = sorted((mine, theirs))

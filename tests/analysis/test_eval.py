@@ -9,19 +9,22 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from analysis.cli.eval import main
+from analysis.cli.eval import METHODS, build_parser, main
 from analysis.estimators.base import Problem, Step, Trace
 from analysis.experiments.curves import error_curves
 from analysis.experiments.drop import DropOrder, run_drop
 from analysis.experiments.drop_methods import Method, paper_methods, user_methods
 from analysis.experiments.drop_networks import NETWORKS, Effort
+from analysis.experiments.drop_roster import NAMES
 from analysis.experiments.drop_targets import EASY, HARD, DropTarget, draw_targets
+from analysis.experiments.figure import draw_figure
 from analysis.experiments.published import published_error
 from analysis.experiments.records import drop_csv, drop_json, drop_rows
 from analysis.experiments.results import Cell, DropResults, Outcome
@@ -35,6 +38,7 @@ from tunenet_logs.progress import Progress
 
 QUIET = Progress(quiet=True)
 EASY_CELL = Cell("drop", "paper", "Easy", 0.0)
+HARD_CELL = Cell("drop", "paper", "Hard", 0.0)
 NOISY_CELL = Cell("drop", "paper", "Easy", 0.01)
 ALLOWED = 10
 
@@ -170,13 +174,10 @@ def test_json_csv_and_table_hold_the_same_figures(results: DropResults):
     rows = list(csv.DictReader(drop_csv(results).splitlines()))
     assert len(rows) == len(told["rows"]) == len(drop_rows(results))
     table = drop_tables(results)
+    assert "intervals" not in told  # not measured where methods are chosen
+    keys = ("experiment", "simulator", "set", "noise_m", "method", "rollouts")
     for one in told["summary"]:
-        mine = [
-            float(row["mae"])
-            for row in rows
-            if all(row[key] == str(one[key]) for key in ("experiment", "set", "noise_m", "method"))
-            and row["rollouts"] == str(one["rollouts"])
-        ]
+        mine = [float(row["mae"]) for row in rows if all(row[key] == str(one[key]) for key in keys)]
         assert len(mine) == len(told["seeds"])
         assert one["mae"] == pytest.approx(np.mean(mine))
         assert (one["lowest"], one["highest"]) == pytest.approx((min(mine), max(mine)))
@@ -200,6 +201,38 @@ def test_curves_go_on_to_the_end_and_show_each_published_point_once(results: Dro
     for curve in curves:
         assert (curve.low <= curve.mean + 1e-12).all()
         assert (curve.mean <= curve.high + 1e-12).all()
+
+
+def test_the_picture_holds_every_curve_and_point(results: DropResults):
+    tall = [replace(one, errors=one.errors * 30) for one in results.of(HARD_CELL)]
+    both = replace(results, outcomes=(*results.of(EASY_CELL), *tall))
+    figure = draw_figure(both)
+    for panel, axis in zip(("Easy", "Hard"), figure.axes, strict=True):
+        bottom, top = axis.get_ylim()
+        for curve in error_curves(both, panel):
+            shown = [*curve.low, *curve.high, *(error for _, error in curve.paper)]
+            assert bottom <= min(shown)
+            assert max(shown) <= top
+
+
+def test_one_target_is_enough_for_all_that_is_told():
+    order = DropOrder((1,), 1, ("mean", "entropy-search"), 1)
+    for one in run_drop(order, QUIET).outcomes:
+        assert one.figures(1).mae == pytest.approx(0, abs=1e-12)
+
+
+def test_a_users_methods_compete_on_the_calibrated_simulator():
+    found = run_drop(DropOrder((1,), 2, ("secant", "brent"), 1), QUIET)
+    for noise_m, most in ((0.0, 40), (0.01, 10)):
+        secant, brent = found.of(Cell("drop", "calibrated", "Easy", noise_m))
+        assert (secant.allowed, brent.allowed) == (10, most)
+        assert secant.figures(10).mae < 0.01
+
+
+def test_the_help_names_every_method():
+    assert METHODS == NAMES
+    text = build_parser().format_help()
+    assert all(name in text for name in NAMES)
 
 
 def run_eval(*words: object) -> subprocess.CompletedProcess[str]:
@@ -252,6 +285,15 @@ def test_an_interrupt_ends_it_at_once_and_leaves_nothing(tmp_path: Path):
     ("words", "says"),
     [
         (("drop", "--methods", "mean,best"), "no method 'best'; there is: mean, entropy-search"),
+        (("drop", "--methods", ""), "--methods names none; there is: mean, entropy-search"),
+        (("drop", "--methods", " , ,"), "--methods names none"),
+        (("drop", "--methods", "difference", "--png", "a.png"), "--png: no method chosen has a"),
+        (("drop", "--methods", "difference", "--rrd", "a.rrd"), "--rrd: no method chosen has a"),
+        (("drop", "--json", "-"), "--json -: is no file"),
+        (("motion", "--csv", "-"), "--csv -: is no file"),
+        (("drop", "--png", "a.jpg"), "a.jpg: --png writes .png"),
+        (("drop", "--rrd", "a"), "a: --rrd writes .rrd"),
+        (("intervals", "--methods", "mean"), "--methods is for drop, not intervals"),
         (("drop", "--json", "/nowhere/a.json"), "/nowhere: no such folder"),
         (("drop", "--png", "."), "is a folder; give --png a file"),
         (("drop", "--json", "a", "--csv", "a"), "both --json and --csv name it"),
