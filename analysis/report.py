@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -105,6 +106,28 @@ def _bounces(tuning: Tuning) -> list[dict[str, Any]]:
     ]
 
 
+_FEWEST_DECIMALS, _MOST_DECIMALS = 4, 6
+
+
+def interval_words(low: float, high: float) -> str:
+    """An interval with as many decimals as its width asks for: equal ends would read as certainty.
+
+    The last digits differ by two or more. Where six decimals do not show that, the ends are rounded
+    away from each other.
+    """
+    for decimals in range(_FEWEST_DECIMALS, _MOST_DECIMALS + 1):
+        first, last = round(low * 10**decimals), round(high * 10**decimals)
+        if last - first >= 2:
+            return _ends(first, last, decimals)
+    most = 10**_MOST_DECIMALS
+    return _ends(math.floor(low * most), math.ceil(high * most), _MOST_DECIMALS)
+
+
+def _ends(first: int, last: int, decimals: int) -> str:
+    unit = 10**decimals
+    return f"{first / unit:.{decimals}f} to {last / unit:.{decimals}f}"
+
+
 _HEADER = (
     "log",
     "verdict",
@@ -194,7 +217,7 @@ def _cells(row: Row) -> tuple[str, ...]:
         one_line(row.log),
         row.verdict,
         figure(row.estimate),
-        "-" if row.interval95 is None else "{:.4f} to {:.4f}".format(*row.interval95),
+        "-" if row.interval95 is None else interval_words(*row.interval95),
         figure(row.cross_check),
         figure(row.drop_height_m, ".3f", " m"),
         str(row.rollouts),

@@ -14,6 +14,8 @@ from analysis.observe.flight import first_flight_s
 Array = NDArray[np.float64]
 
 _CLOSE = 1e-9
+_LOW = 0.15
+"""Below it a flight may be too short to be seen, and the cost has one minimum."""
 
 
 class Secant:
@@ -21,14 +23,14 @@ class Secant:
 
     The duration is nearly proportional to the restitution: the first step goes by that, the others
     by the secant through the last two rollouts. A ball that is not seen to leave the table flies
-    for 0 s, so a target that never bounces leads to the lowest restitution; where no rollout is
-    seen to fly there is no step to make and the answer stays. One parameter.
+    for 0 s. Where the target does, or low durations come no closer, the cost takes their place:
+    Brent's method between 0 and the lowest restitution that flew longer. One parameter.
     """
 
     name = "secant"
 
     def estimate(self, problem: Problem, rollouts: int) -> Trace:
-        """The next place to look at, after each rollout; see `Estimator.estimate`."""
+        """The next place to look at, or the one of least cost; see `Estimator.estimate`."""
         search = Search(problem, rollouts, keep_best=False)
         return search.run(lambda: _optimize(search, problem))
 
@@ -37,19 +39,60 @@ def _optimize(search: Search, problem: Problem) -> None:
     wanted = _duration(problem.target)
     (bounds,) = (one.bounds for one in problem.parameters)
     value, last = float(problem.initial[0]), None
+    high = _LOW
     while True:
-        flown = _duration(search.look(np.array([value])).observation)
+        look = search.look(np.array([value]))
+        flown = _duration(look.observation)
+        if flown > wanted:
+            high = min(high, value)
+        if _lost(wanted, (value, flown), last):
+            cost = float(np.linalg.norm(problem.misfit(look))) if value <= high else np.inf
+            _least_cost(search, (bounds[0], high), cost)
+            return
         slope = _slope((value, flown), last)
         if slope > 0:
             following = float(np.clip(value + (wanted - flown) / slope, *bounds))
-        elif last is None and wanted > 0:
-            following = sum(bounds) / 2  # a ball that did not fly says nothing of how far to go
         else:
-            return
+            following = sum(bounds) / 2  # a ball that did not fly says nothing of how far to go
         if abs(following - value) < _CLOSE:
             return
         last, value = (value, flown), following
         search.answer(np.array([value]))
+
+
+def _lost(wanted: float, here: tuple[float, float], last: tuple[float, float] | None) -> bool:
+    """Whether durations lead no further: the target's is not seen, or low ones come no closer."""
+    value, flown = here
+    if wanted == 0:
+        return True
+    if last is None or value > _LOW:
+        return False
+    return flown == 0 or abs(flown - wanted) > abs(last[1] - wanted) / 2
+
+
+def _least_cost(search: Search, bounds: tuple[float, float], least: float) -> None:
+    """Brent's method on the cost, squared so that parabolas fit it.
+
+    Args:
+        search: what charges the rollouts.
+        bounds: where to look.
+        least: cost of the present answer; infinite where that is out of `bounds`.
+    """
+    from scipy.optimize import minimize_scalar
+
+    if np.isinf(least):
+        search.answer(np.array([sum(bounds) / 2]))
+
+    def squared(value: float) -> float:
+        nonlocal least
+        cost = search.cost(np.array([value]))
+        if cost < least:
+            least = cost
+            search.answer(np.array([value]))
+        return cost**2
+
+    options = {"xatol": _CLOSE, "maxiter": max(search.left, 1)}
+    minimize_scalar(squared, bounds=bounds, method="bounded", options=options)
 
 
 def _slope(here: tuple[float, float], last: tuple[float, float] | None) -> float:

@@ -19,6 +19,7 @@ _CLEAR_FLIGHT = 10
 _CLEAR_HOP = 8
 _MOST_GAP = 4.0
 _SURE = 0.02
+_MORE_DIGITS = 3
 
 
 @dataclass(frozen=True)
@@ -62,22 +63,26 @@ def recording_checks(drop: Drop, sideways_m: Array, most_gap_falls: float = 0.0)
     gap = float(periods.max() / np.median(periods))
     most_gap = max(_MOST_GAP, most_gap_falls * drop.fall_time_s / float(np.median(periods)))
     floor = 0.03 * height + 6 * drop.noise_m
+    flown, wanted = _pair(seen, 0.9, 1)
+    under, most_under = _pair(1000 * max(below, 0.0), 1000 * floor, 1)
+    aside, most_aside = _pair(1000 * drift, 500 * height, 0)
+    longest, too_long = _pair(gap, most_gap, 1)
     return [
-        Check("first flight seen", seen > 0.9, f"{seen:.1f} fall times (wanted: 0.9 or more)"),
+        Check("first flight seen", seen > 0.9, f"{flown} fall times (wanted: {wanted} or more)"),
         Check(
             "stays on the table",
             below < floor,
-            f"{1000 * max(below, 0.0):.1f} mm below contact (at most {1000 * floor:.0f})",
+            f"{under} mm below contact (at most {most_under})",
         ),
         Check(
             "falls straight",
             drift < 0.5 * height,
-            f"{1000 * drift:.0f} mm sideways (at most {500 * height:.0f})",
+            f"{aside} mm sideways (at most {most_aside})",
         ),
         Check(
             "no samples missing",
             gap < most_gap,
-            f"longest gap {gap:.1f} periods (less than {most_gap:.1f})",
+            f"longest gap {longest} periods (less than {too_long})",
         ),
     ]
 
@@ -93,26 +98,30 @@ def fall_checks(drop: Drop, restitution: float) -> list[Check]:
     ]
     if not np.isnan(drop.rest_m):
         off = abs(drop.rest_m - drop.contact_m)
+        apart, most_apart = _pair(1000 * off, 1000 * drop.rest_tolerance_m, 1)
         checks.append(
             Check(
                 "rests where it hit",
                 off < drop.rest_tolerance_m,
-                f"{1000 * off:.1f} mm between impact and rest "
-                f"(at most {1000 * drop.rest_tolerance_m:.1f})",
+                f"{apart} mm between impact and rest (at most {most_apart})",
             )
         )
     flight_samples = 2 * restitution * drop.fall_time_s / float(np.median(np.diff(drop.seconds)))
     if not np.isnan(drop.drag):
         most = 0.02 + 2 * drop.drag_sd
+        slower, most_slower = _pair(100 * drop.drag, 100 * most, 1)
         checks.append(
             Check(
                 "no air drag",
                 drop.drag < most,
-                f"falls {100 * drop.drag:.1f} % slower than it flies (at most {100 * most:.1f})",
+                f"falls {slower} % slower than it flies (at most {most_slower})",
             )
         )
     elif flight_samples >= _CLEAR_FLIGHT:
-        detail = f"none found in the {flight_samples:.0f} samples of the first flight"
+        detail = (
+            f"none found in the {flight_samples:.0f} samples of the first flight "
+            "(a filtered track? record unfiltered positions)"
+        )
         checks.append(Check("flies a parabola", False, detail))
     return checks
 
@@ -120,21 +129,22 @@ def fall_checks(drop: Drop, restitution: float) -> list[Check]:
 def rebound_check(drop: Drop, restitution: float) -> Check:
     """Whether the noise leaves enough of the first rebound, where no interval says so."""
     hop_m = restitution**2 * drop.drop_height_m
+    high, least = _pair(1000 * hop_m, 1000 * _CLEAR_HOP * drop.noise_m, 1)
     return Check(
         "rebound stands out",
         hop_m > _CLEAR_HOP * drop.noise_m,
-        f"{1000 * hop_m:.1f} mm high (wanted: over {1000 * _CLEAR_HOP * drop.noise_m:.1f}, "
-        f"{_CLEAR_HOP} times the noise)",
+        f"{high} mm high (wanted: over {least}, {_CLEAR_HOP} times the noise)",
     )
 
 
 def sure_check(low: float, high: float) -> Check:
     """Whether a 95 % interval is narrow enough to be of use."""
     half = (high - low) / 2
+    shown, most = _pair(half, _SURE, 2, "g")
     return Check(
         "sure enough",
         half < _SURE,
-        f"95 % interval of ±{half:.2g} (at most {_SURE:g})",
+        f"95 % interval of ±{shown} (at most {most})",
     )
 
 
@@ -149,9 +159,19 @@ def fit_check(simulated: Observation, target: Observation, scale: float, most: f
     """
     off = (simulated.values - target.values) / scale
     rms = float(np.sqrt(np.nanmean(off**2)))
+    apart, most_apart = _pair(100 * rms, 100 * most, 2)
     return Check(
         "simulation fits",
         rms < most,
-        f"{100 * rms:.2f} % of the drop height apart, rms (at most {100 * most:.2f})",
+        f"{apart} % of the drop height apart, rms (at most {most_apart})",
         fatal=rms > _REJECT_FIT,
     )
+
+
+def _pair(seen: float, limit: float, digits: int, kind: str = "f") -> tuple[str, str]:
+    """Two numbers with so many digits, or more where they would read alike."""
+    for more in range(digits, digits + _MORE_DIGITS + 1):
+        pair = f"{seen:.{more}{kind}}", f"{limit:.{more}{kind}}"
+        if pair[0] != pair[1]:
+            return pair
+    return f"{seen:.{digits}{kind}}", f"{limit:.{digits}{kind}}"

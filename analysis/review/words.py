@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from analysis.report import interval_words
 from analysis.tuning import Tuning
 from tunenet_logs.wording import one_line
 
@@ -18,7 +19,7 @@ def result_words(tuning: Tuning) -> str:
         named = zip(tuning.parameters, tuning.estimate, strict=True)
         lines += [f"# {one.name} {value:.4f}" for one, value in named]
     if tuning.interval95 is not None:
-        lines += ["95 %: {:.4f} to {:.4f}".format(*ends) for ends in tuning.interval95]
+        lines += [f"95 %: {interval_words(*ends)}" for ends in tuning.interval95]
     lines.append(
         f"**{tuning.verdict}**" + (f": {one_line(tuning.reason)}" if tuning.reason else "")
     )

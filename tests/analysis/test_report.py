@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from analysis.report import row_of, table, to_json
+from analysis.observe.quality import sure_check
+from analysis.report import interval_words, row_of, table, to_json
+from analysis.review.words import result_words
 from analysis.tuning import Options, tune_log
 from tests.conftest import record
 
@@ -54,3 +56,39 @@ def test_the_table_shows_the_truth_only_where_a_log_states_one(drop_log: Path, t
     assert "truth" in table([known, unknown]).splitlines()[0]
     assert "truth" not in table([unknown]).splitlines()[0]
     assert "is not an MCAP log" in table([unknown])
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "words"),
+    [
+        (0.61981, 0.62032, "0.6198 to 0.6203"),
+        (0.7000012, 0.7000391, "0.70000 to 0.70004"),
+        (0.3500001, 0.3500034, "0.350000 to 0.350003"),
+        (0.34999996, 0.35000003, "0.349999 to 0.350001"),
+        (0.0, 0.00002, "0.00000 to 0.00002"),
+    ],
+)
+def test_an_interval_has_as_many_decimals_as_its_width_asks_for(
+    low: float, high: float, words: str
+):
+    assert interval_words(low, high) == words
+
+
+def test_no_interval_reads_as_certainty(drop_log: Path):
+    tuning = tune_log(drop_log, Options())
+    assert tuning.interval95 is not None
+    words = interval_words(*tuning.interval95[0])
+    low, high = words.split(" to ")
+    assert low != high
+    assert words in table([row_of(tuning)])
+    assert f"95 %: {words}" in result_words(tuning)
+
+
+@pytest.mark.parametrize(
+    ("half", "shown"), [(0.0123, "±0.012 "), (0.02004, "±0.02004 "), (0.031, "±0.031 ")]
+)
+def test_a_failed_check_shows_by_how_much(half: float, shown: str):
+    check = sure_check(0.5 - half, 0.5 + half)
+    assert check.passed == (half < 0.02)
+    assert shown in check.detail
+    assert "(at most 0.02)" in check.detail
