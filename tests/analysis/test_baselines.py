@@ -205,7 +205,7 @@ def test_the_secant_finds_flights_too_short_to_be_seen(solve: Solve, truth: floa
 
 
 def test_the_secant_is_exact_where_the_first_flight_is_clean(problems: DropProblems):
-    for target in draw_targets(EASY, 20, 5):
+    for target in draw_targets(EASY, 20, -1):
         trace = Secant().estimate(problems.pose(target), 10)
         assert trace.estimate[0] == pytest.approx(target.truth, abs=2e-9)
 
