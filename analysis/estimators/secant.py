@@ -24,7 +24,7 @@ class Secant:
     The duration is nearly proportional to the restitution: the first step goes by that, the others
     by the secant through the last two rollouts. A ball that is not seen to leave the table flies
     for 0 s. Where the target does, or low durations come no closer, the cost takes their place:
-    Brent's method between 0 and the lowest restitution that flew longer. One parameter.
+    Brent's method between the restitutions that flew shorter and longer. One parameter.
     """
 
     name = "secant"
@@ -39,15 +39,17 @@ def _optimize(search: Search, problem: Problem) -> None:
     wanted = _duration(problem.target)
     (bounds,) = (one.bounds for one in problem.parameters)
     value, last = float(problem.initial[0]), None
-    high = _LOW
+    low, high = bounds[0], _LOW if wanted == 0 else 2 * _LOW
     while True:
         look = search.look(np.array([value]))
         flown = _duration(look.observation)
         if flown > wanted:
             high = min(high, value)
+        elif wanted > 0 and value < high:
+            low = max(low, value)
         if _lost(wanted, (value, flown), last):
             cost = float(np.linalg.norm(problem.misfit(look))) if value <= high else np.inf
-            _least_cost(search, (bounds[0], high), cost)
+            _least_cost(search, (low, high), cost)
             return
         slope = _slope((value, flown), last)
         if slope > 0:
