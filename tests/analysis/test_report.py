@@ -25,7 +25,7 @@ def test_the_json_has_the_contracts_keys(drop_log: Path):
     assert 0.6999 < low < 0.7 < high < 0.7001
     assert restitution == {"value": pytest.approx(0.7, abs=1e-4), "unit": "1"}
     assert report["method"] == "tunenet+refine"
-    assert report["rollouts"] == 6
+    assert report["rollouts"] == 7
     assert [step["k"] for step in report["iterations"]] == list(range(6))
     assert report["iterations"][0]["restitution"] == 0
     (bounce,) = report["bounces"]
