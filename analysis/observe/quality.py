@@ -14,7 +14,7 @@ from tunenet_logs.episode import Episode
 Array = NDArray[np.float64]
 
 _GRAVITY_M_S2 = 9.81
-_REJECT_FIT = 0.1
+_REJECT_FIT = 0.15
 _CLEAR_FLIGHT = 10
 _CLEAR_HOP = 8
 _MOST_GAP = 4.0

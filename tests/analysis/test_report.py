@@ -26,7 +26,7 @@ def test_the_json_has_the_contracts_keys(drop_log: Path):
     assert restitution == {"value": pytest.approx(0.7, abs=1e-4), "unit": "1"}
     assert report["method"] == "tunenet+refine"
     assert report["rollouts"] == 7
-    assert [step["k"] for step in report["iterations"]] == list(range(6))
+    assert [step["k"] for step in report["iterations"]] == list(range(7))
     assert report["iterations"][0]["restitution"] == 0
     (bounce,) = report["bounces"]
     assert bounce["impact_speed"] == pytest.approx((2 * 9.80665) ** 0.5, rel=1e-3)
