@@ -30,7 +30,7 @@ Needs the libraries of the extra 'eval': pip install 'tunenet-logs[eval]'."""
 
 _EXAMPLES = """\
   tunenet-eval drop                                  (half an hour on two cores)
-  tunenet-eval drop --seeds 1 --targets 20           (a minute or two)
+  tunenet-eval drop --seeds 1 --targets 20           (a few minutes)
   tunenet-eval drop --methods mean,secant,tunenet-paper-code --seeds 1
   tunenet-eval drop --json drop.json --csv drop.csv --png drop.png --rrd drop.rrd
   tunenet-eval motion --json motion.json"""
