@@ -14,7 +14,7 @@ from tunenet_logs.episode import Episode
 Array = NDArray[np.float64]
 
 _GRAVITY_M_S2 = 9.81
-_REJECT_FIT = 0.15
+_REJECT_FIT = 0.1
 _CLEAR_FLIGHT = 10
 _CLEAR_HOP = 8
 _MOST_GAP = 4.0
@@ -148,7 +148,13 @@ def sure_check(low: float, high: float) -> Check:
     )
 
 
-def fit_check(simulated: Observation, target: Observation, scale: float, most: float) -> Check:
+def fit_check(
+    simulated: Observation,
+    target: Observation,
+    scale: float,
+    most: float,
+    reject: float = _REJECT_FIT,
+) -> Check:
     """Whether the tuned simulator moves as the recording does.
 
     Args:
@@ -156,6 +162,7 @@ def fit_check(simulated: Observation, target: Observation, scale: float, most: f
         target: o_T.
         scale: drop height in the observations' unit.
         most: share of the drop height that the two may lie apart (rms).
+        reject: share from which on nothing can be reported.
     """
     off = (simulated.values - target.values) / scale
     rms = float(np.sqrt(np.nanmean(off**2)))
@@ -164,7 +171,7 @@ def fit_check(simulated: Observation, target: Observation, scale: float, most: f
         "simulation fits",
         rms < most,
         f"{apart} % of the drop height apart, rms (at most {most_apart})",
-        fatal=rms > _REJECT_FIT,
+        fatal=rms > reject,
     )
 
 

@@ -89,7 +89,7 @@ def fit_bounce(drop: Drop, initial: float) -> BounceFit | None:
         if best is not None and np.count_nonzero(window) == len(best.seconds):
             continue
         noise_m = max(drop.noise_m, best.sd) if best else drop.noise_m
-        fit = _Fit.to(drop.seconds[window], drop.heights_m[window], begin, count, noise_m)
+        fit = _Fit.to(drop.seconds[window], drop.heights_m[window], begin, count)
         if best is not None and not fit.within(noise_m):
             break
         best = fit
@@ -133,15 +133,12 @@ class _Fit:
     unknowns: Array
     flights: int
     squares: float
-    noise_m: float
 
     @classmethod
-    def to(
-        cls, seconds: Array, heights_m: Array, start: Array, flights: int, noise_m: float
-    ) -> _Fit:
+    def to(cls, seconds: Array, heights_m: Array, start: Array, flights: int) -> _Fit:
         """Fit everything."""
         unknowns, squares = _solve(_residual(seconds, heights_m), start)
-        return cls(seconds, heights_m, unknowns, flights, squares, noise_m)
+        return cls(seconds, heights_m, unknowns, flights, squares)
 
     @property
     def sd(self) -> float:
@@ -165,7 +162,7 @@ class _Fit:
         if np.count_nonzero(~near) < 2 * _FEWEST:
             return self
         kept = self.seconds[~near], self.heights_m[~near]
-        return _Fit.to(*kept, self.unknowns, self.flights, self.noise_m)
+        return _Fit.to(*kept, self.unknowns, self.flights)
 
     def averaged(self) -> _Average:
         """The ideal ball and the real one, by how well each explains the samples.

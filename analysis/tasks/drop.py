@@ -38,6 +38,9 @@ _POSITION = ("x", "y", "z")
 _AGREEMENT = 0.02
 _FIT = 0.008
 _PAPER_FIT = 0.03
+_REJECT, _REJECT_REFINED = 0.1, 0.15
+"""A refined value allows for the air, which the simulator that it is compared in has not."""
+
 _FARTHEST_M = 1e6
 
 
@@ -96,7 +99,9 @@ class DropTask:
         scale = 1.0 if physical else height_m
         most = _FIT if physical else _PAPER_FIT
         most += 1.2 * noise_m / height_m
-        return (*checks, fit_check(last.look.observation, found.target, scale, most))
+        reject = _REJECT_REFINED if refined else _REJECT
+        observation = last.look.observation
+        return (*checks, fit_check(observation, found.target, scale, most, reject))
 
     def cross_check(self, found: FoundDrop, estimate: Array) -> CrossCheck | None:
         """The speeds just after and just before the impact, by the parabolas on either side."""
