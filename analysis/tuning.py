@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,8 +15,10 @@ from numpy.typing import NDArray
 from analysis.estimators.base import Problem, Step, Trace
 from analysis.estimators.tunenet import TuneNet
 from analysis.observe.quality import Check, log_checks
+from analysis.observe.tracking.track import Track
 from analysis.tasks import TASKS, task_for
 from analysis.tasks.base import CrossCheck, Preset, Refined, Selection, Task
+from analysis.tasks.drop_video import DropVideoTask
 from analysis.tunenet.checkpoint import load_model, shipped_model
 from analysis.tunenet.network import Model
 from recorders.simulators.base import Parameter
@@ -145,6 +149,24 @@ def tune_episode(episode: Episode, options: Options) -> Tuning:
     return _tune(Path(), episode, options, _Stopwatch())
 
 
+def tune_track(track: Track, options: Options) -> Tuning:
+    """Tune from the track of a filmed ball, as `tune_log` does once it has found one."""
+    task = DropVideoTask()
+    preset = _preset(task, options)
+    rejected = Tuning(
+        Path(),
+        task.kind,
+        options.preset,
+        "rejected",
+        None,
+        task.parameters,
+        physical=preset.physical,
+    )
+    start_ns = int(track.stamps_ns[0])
+    find = partial(task.find_in_track, track, start_ns, options.selection, options.preset)
+    return _tune_found(rejected, task, find, options, _Stopwatch())
+
+
 def _tune(path: Path, episode: Episode, options: Options, watch: _Stopwatch) -> Tuning:
     rejected = Tuning(path, options.task, options.preset, "rejected", None, seconds=watch.seconds)
     kind = options.task or episode.info.kind or "drop"
@@ -152,27 +174,41 @@ def _tune(path: Path, episode: Episode, options: Options, watch: _Stopwatch) -> 
     if task is None:
         known = ", ".join(sorted({one.kind for one in TASKS.values()}))
         return replace(rejected, reason=f"holds a {kind!r}; what can be tuned is: {known}")
-    preset = _preset(task, options)
     rejected = replace(
         rejected,
         task=task.kind,
         episode=episode,
         parameters=task.parameters,
+        checks=log_checks(episode),
         warnings=episode.warnings,
-        physical=preset.physical,
+        physical=_preset(task, options).physical,
     )
-    model = _model(preset, options)
+    find = partial(task.find, episode, options.selection, options.preset)
+    return _tune_found(rejected, task, find, options, watch)
+
+
+def _tune_found(
+    rejected: Tuning,
+    task: Task,
+    find: Callable[[], Any],
+    options: Options,
+    watch: _Stopwatch,
+) -> Tuning:
+    """Tune to what `find` finds; `rejected` says what is known without it."""
+    rejected = replace(rejected, seconds=watch.seconds)
+    model = _model(_preset(task, options), options)
     try:
-        found = task.find(episode, options.selection, options.preset)
+        found = find()
         problem = task.problem(found, _initial(task, options))
     except (NotFoundError, LogError) as error:
         watch.lap("observe")
-        return replace(rejected, reason=str(error).removeprefix(f"{path}: "))
+        reason = str(error).removeprefix(f"{rejected.log}: ")
+        return replace(rejected, reason=reason, checks=())
     watch.lap("observe")
     trace = TuneNet(model).estimate(problem, options.iterations)
     refined = None if options.method == NETWORK else task.refine(found, trace.estimate)
     trace = _looked_at(trace, refined, problem)
-    checks = (*log_checks(episode), *task.checks(found, trace.steps[-1], refined))
+    checks = (*rejected.checks, *task.checks(found, trace.steps[-1], refined))
     cross_check = task.cross_check(found, trace.estimate)
     watch.lap("tune")
     verdict, reason = _judge(checks, cross_check)
@@ -186,7 +222,7 @@ def _tune(path: Path, episode: Episode, options: Options, watch: _Stopwatch) -> 
         rollouts=problem.rollouts,
         cross_check=cross_check,
         checks=checks,
-        warnings=(*episode.warnings, *found.warnings, *_unrefined(options, refined)),
+        warnings=(*rejected.warnings, *found.warnings, *_unrefined(options, refined)),
         digest=model.digest,
     )
 

@@ -16,6 +16,7 @@ from analysis.tunenet.checkpoint import Purpose
 from analysis.tunenet.network import Network
 from analysis.tunenet.pairs import PairSet
 from analysis.tunenet.training import Recipe
+from recorders.simulators.balls import Ball
 from recorders.simulators.base import Parameter
 from tunenet_logs.episode import Episode
 from tunenet_logs.progress import Progress
@@ -29,12 +30,16 @@ class Selection:
 
     Attributes:
         hints: where the ball is in a picture, for those who know.
+        ball: what was dropped, for those who know: then the air's drag on it is known.
+        fit_drag: whether to find the drag from the bounces instead.
     """
 
     topic: str | None = None
     start_s: float | None = None
     end_s: float | None = None
     hints: Hints = field(default_factory=Hints)
+    ball: Ball = field(default_factory=Ball)
+    fit_drag: bool = False
 
 
 @dataclass(frozen=True)
@@ -46,6 +51,23 @@ class CrossCheck:
     agrees: bool
 
 
+@dataclass(frozen=True)
+class Rebound:
+    """One impact of a ball.
+
+    Attributes:
+        impact_s: when, on the drop's clock [s].
+        restitution: there.
+        interval95: of the restitution.
+        impact_speed_m_s: None where nothing fixes the scale.
+    """
+
+    impact_s: float
+    restitution: float
+    interval95: tuple[float, float]
+    impact_speed_m_s: float | None
+
+
 @dataclass(frozen=True, eq=False)
 class Refined:
     """What a refinement makes of the network's estimate.
@@ -54,11 +76,13 @@ class Refined:
         values: shape (P,).
         interval95: lower and upper end for each, shape (P, 2).
         check: whether the interval is narrow enough to be of use.
+        rebounds: each impact that says something of its own, in order.
     """
 
     values: Array
     interval95: Array
     check: Check
+    rebounds: tuple[Rebound, ...] = ()
 
 
 @dataclass(frozen=True)

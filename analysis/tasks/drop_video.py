@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,10 +63,7 @@ class DropVideoTask:
     ) -> FoundDrop:
         pictures = Pictures(episode, topic, selection.start_s, selection.end_s)
         track, warnings = _tracked(pictures, selection.hints, episode.info)
-        film = find_filmed_drop(track, pictures.start_ns)
-        physical = PRESETS[preset].physical
-        target = canonical_film(film) if physical else _paper_target(film)
-        rig = episode.info.rig
+        found = self.find_in_track(track, pictures.start_ns, selection, preset)
         told = sum(one.messages for one in episode.channels if one.topic == topic)
         if selection.end_s is None and pictures.opened < told:
             warnings.append(
@@ -76,18 +74,31 @@ class DropVideoTask:
             warnings.append(f"{pictures.other_size} pictures of another size were left out")
         if pictures.damaged:
             warnings.append(f"{pictures.damaged} damaged pictures were left out")
-        if not physical:
-            warnings.append(_paper_warning(film))
+        rig = episode.info.rig
+        diameter_m = selection.ball.diameter_m or rig.get("ball_diameter_m")
+        return replace(
+            found,
+            topic=topic,
+            warnings=(*warnings, *found.warnings),
+            known_m=(diameter_m, rig.get("drop_height_m")),
+        )
+
+    def find_in_track(
+        self, track: Track, start_ns: int, selection: Selection, preset: str
+    ) -> FoundDrop:
+        """The first drop in a track, whose clock is 0 at `start_ns`; see `Task.find`."""
+        film = find_filmed_drop(track, start_ns)
+        physical = PRESETS[preset].physical
         return FoundDrop(
             physical=physical,
-            topic=topic,
+            topic="",
             drop=film.drop,
-            start_ns=pictures.start_ns,
+            start_ns=start_ns,
             sideways_m=film.sideways[:, None] * film.drop.drop_height_m,
-            target=target,
-            warnings=tuple(warnings),
+            target=canonical_film(film) if physical else _paper_target(film),
+            warnings=() if physical else (_paper_warning(film),),
             film=film,
-            known_m=(rig.get("ball_diameter_m"), rig.get("drop_height_m")),
+            known_m=(selection.ball.diameter_m, None),
         )
 
     def problem(self, found: FoundDrop, initial: Array) -> Problem:
