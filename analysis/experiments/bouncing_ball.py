@@ -1,7 +1,7 @@
 """A ball that falls and bounces, integrated from impact to impact: a truth that no fit shares.
 
-The fit has the bounce in closed form (`recorders/simulators/bounce.py`). Here the equation of motion
-is stepped (Runge and Kutta's fourth order), and each impact is met within its step.
+The fit has the bounce in closed form (`recorders/simulators/bounce.py`). Here the equation of
+motion is stepped (Runge and Kutta's fourth order), and each impact is met within its step.
 """
 
 from __future__ import annotations

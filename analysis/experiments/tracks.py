@@ -31,8 +31,9 @@ NARROW: Range = (0.3, 0.7)
 WIDE: Range = (0.1, 0.95)
 """Restitutions: the paper's, and nearly all."""
 
-TABLE_TENNIS_DRAG_1_M = 0.5 * 1.2 * 0.47 * np.pi / 4 * 0.040**2 / 0.0027
-"""Air of 1.2 kg/m3 on a ball of 40 mm and 2.7 g, Cd 0.47."""
+TABLE_TENNIS_RADIUS_M = 0.020
+TABLE_TENNIS_DRAG_1_M = 0.5 * 1.2 * 0.47 * np.pi * TABLE_TENNIS_RADIUS_M**2 / 0.0027
+"""Air of 1.2 kg/m3 on a ball of 2.7 g, Cd 0.47."""
 
 _RADII = (0.015, 0.06)
 _HELD_S = (0.0, 0.6)
@@ -55,6 +56,7 @@ class TrackSet:
     Attributes:
         name: in tables; what is drawn depends on it.
         drop_m: range of the fall.
+        radius_m: of the ball; None for 1.5 to 6 % of the fall.
         lasts: range of what is filmed after the release [fall times].
         paper: before the paper's camera; else before any.
         free: any frame rate, release held or unseen, pictures without the ball, early ends; else
@@ -63,12 +65,13 @@ class TrackSet:
 
     name: str
     drop_m: Range
+    radius_m: float | None = None
     lasts: Range = (4.0, 8.0)
     paper: bool = False
     free: bool = False
 
 
-A = TrackSet("A", (3.5, 4.5), paper=True)
+A = TrackSet("A", (3.5, 4.5), PAPER_RADIUS_M, paper=True)
 B = TrackSet("B", (0.2, 5.0))
 C = TrackSet("C", (0.2, 5.0), free=True)
 TRACK_SETS = (A, B, C)
@@ -127,7 +130,7 @@ def draw_shot(which: TrackSet, balls: Balls, noise_px: float, seed: int, number:
     drop_m = float(rng.uniform(*which.drop_m))
     restitution, slope = rng.uniform(*balls.restitution), rng.uniform(*balls.slope)
     ball = DroppedBall(drop_m, float(restitution), float(slope), balls.drag_1_m)
-    radius_m = PAPER_RADIUS_M if which.paper else drop_m * float(rng.uniform(*_RADII))
+    radius_m = which.radius_m or drop_m * float(rng.uniform(*_RADII))
     view = (paper_viewpoint if which.paper else any_viewpoint)(rng, drop_m, radius_m)
     seconds = _seconds(which, ball, rng)
     lost = _lost(ball, seconds, rng) if which.free else np.zeros(len(seconds), dtype=bool)
