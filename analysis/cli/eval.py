@@ -36,7 +36,7 @@ _EXAMPLES = """\
   tunenet-eval drop --methods mean,secant,tunenet-paper-code --seeds 1
   tunenet-eval drop --json drop.json --csv drop.csv --png drop.png --rrd drop.rrd
   tunenet-eval motion --json motion.json
-  tunenet-eval video --targets 20 --sections set-B,bad   (two minutes)"""
+  tunenet-eval video --targets 20 --sections set-B,bad"""
 
 METHODS = (
     *("mean", "entropy-search", "cma-es", "direct", "tunenet-paper", "tunenet-paper-code"),
