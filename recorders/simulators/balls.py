@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import inf, isfinite, pi
+from typing import TYPE_CHECKING
 
-from tunenet_logs.episode import EpisodeInfo
 from tunenet_logs.errors import UsageError
+
+if TYPE_CHECKING:
+    from tunenet_logs.episode import EpisodeInfo
 
 AIR_KG_M3 = 1.2
 """At 20 degrees Celsius and sea level."""
@@ -78,8 +81,8 @@ BALLS: Mapping[str, Ball] = {
     "tennis": Ball(0.067, 0.0577, 0.55),
     # World Squash, appendix 7: 40.0 +- 0.5 mm, 24 +- 1 g.
     "squash": Ball(0.040, 0.024),
-    # R&A and USGA, equipment rules: at least 42.67 mm, at most 45.93 g. Cd .5 below a Reynolds number
-    # of 4e4, where its dimples do not help yet (Bearman and Harvey 1976).
+    # R&A and USGA, equipment rules: at least 42.67 mm, at most 45.93 g. Cd .5 below a Reynolds
+    # number of 4e4, where its dimples do not help yet (Bearman and Harvey 1976).
     "golf": Ball(0.0427, 0.0459, 0.5),
     # USA Racquetball, rule 2.2: 2 1/4 in, 1.4 oz.
     "racquetball": Ball(0.0572, 0.0397),
