@@ -272,7 +272,7 @@ def _judge(checks: tuple[Check, ...], cross_check: CrossCheck | None) -> tuple[V
     reasons = [f"{check.name}: {check.detail}" for check in fatal or failed]
     orders = [check.advice for check in fatal or failed]
     if cross_check is not None and not cross_check.agrees:
-        reasons.append(f"{cross_check.method} give {cross_check.value:.3f}")
+        reasons.append(f"cross-check: {cross_check.value:.3f} by {cross_check.method}")
         orders.append(_DISAGREEMENT)
     if not reasons:
         return "ok", None
