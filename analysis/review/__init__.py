@@ -80,7 +80,7 @@ def _log_recorded(stream: rr.RecordingStream, tuning: Tuning) -> int:
 def _tuning_layout(story: Story, film: FilmedDrop | None) -> rrb.Container:
     """Two tabs, to play and to scrub; with the video first where there is one."""
     result = rrb.TextDocumentView(origin="/result", name="result")
-    charts = [convergence_view(story), *([bounce_view(story)] if story.bounces else [])]
+    charts = _charts(story)
     words = rrb.Vertical(result, *charts, row_shares=[5, *[2.6] * len(charts)])
     curves = rrb.Vertical(
         scene_view(story), height_view(story), residual_view(story), row_shares=[4, 4, 3]
@@ -94,11 +94,16 @@ def _tuning_layout(story: Story, film: FilmedDrop | None) -> rrb.Container:
         overlay = rrb.Horizontal(video, curves, words, column_shares=[share, 3, 3], name=name)
     scrub = rrb.Horizontal(
         height_sheet_view(),
-        rrb.Vertical(step_view(), *charts),
+        rrb.Vertical(step_view(), *_charts(story)),
         column_shares=[5, 3],
         name=f"scrub (timeline {ITERATION})",
     )
     return rrb.Tabs(overlay, scrub, active_tab=0)
+
+
+def _charts(story: Story) -> list[rrb.View]:
+    """Those that stay; made anew for each tab, because a view is shown in one place only."""
+    return [convergence_view(story), *([bounce_view(story)] if story.bounces else [])]
 
 
 def _recorded_layout(filmed: bool) -> rrb.Container:

@@ -38,13 +38,11 @@ def log_model_path(stream: rr.RecordingStream, film: FilmedDrop, story: Story) -
         colors=[_IMPACT], radii=screen_radius(4.0), show_labels=True, draw_order=14.0
     )
     stream.log("film/impact", shown, static=True)
-    begin_s = film.drop.seconds[:1]
     names = [_name(story, index) for index in range(len(impacts))]
-    columns = rr.Points2D.columns(
-        positions=np.concatenate([np.full((1, 2), -1e4), places]), labels=["", *names]
-    )
-    index = at_seconds(np.concatenate([begin_s, impacts]))
-    stream.send_columns("film/impact", indexes=[index], columns=columns)
+    columns = rr.Points2D.columns(positions=places, labels=names)
+    nothing_yet = [0] + [1] * len(impacts)
+    index = at_seconds(np.concatenate([film.drop.seconds[:1], impacts]))
+    stream.send_columns("film/impact", indexes=[index], columns=columns.partition(nothing_yet))
 
 
 def model_path(film: FilmedDrop, story: Story) -> Array:
