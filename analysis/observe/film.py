@@ -45,7 +45,7 @@ _MOST_IMPACTS = 6
 _MOST_CANDIDATES = 6
 _FALL_SHARES = (0.96, 0.8, 0.6)
 _STARTS = 6
-_ROUGHLY = (8, 1e-4)
+_ROUGHLY = (10, 1e-4)
 _FEWEST, _FEWEST_SAMPLES = 4, 12
 _MARGIN_S = 0.5
 _REST_SEEN = 1.0
@@ -222,10 +222,9 @@ def _rough_fits(samples: Samples, impact_s: float) -> list[FilmFit]:
 def _finished(whole: Samples, rough: list[FilmFit], balls: Balls) -> tuple[FilmFit, ...]:
     """All balls, fitted to the bounces that count and to the ball before it was let go."""
     starts = [fit.unknowns for fit in rough[:3]]
-    real = best_of([_from_any(rough[0].samples, starts, ball) for ball in balls])
+    real = best_of([_from_any(rough[0].samples, starts, ball, *_ROUGHLY) for ball in balls])
     samples = _counting(whole, real)
-    if samples is not real.samples:
-        real = _from_any(samples, [real.unknowns], real.free)
+    real = _from_any(samples, [real.unknowns], real.free)
     samples = _with_held(whole, real)
     if samples is not real.samples:
         held = fit_film(samples, real.unknowns, real.free)
@@ -236,14 +235,20 @@ def _finished(whole: Samples, rough: list[FilmFit], balls: Balls) -> tuple[FilmF
     return (ideal, *(_from_any(real.samples, starts, ball) for ball in balls))
 
 
-def _from_any(samples: Samples, starts: Sequence[Array], free: tuple[int, ...]) -> FilmFit:
+def _from_any(
+    samples: Samples,
+    starts: Sequence[Array],
+    free: tuple[int, ...],
+    most: int = 30,
+    gain: float = 1e-6,
+) -> FilmFit:
     """The best fit from any of the starts, with a usual slope or drag where they have none."""
     fits = []
     for start in starts:
         begin = start.copy()
         for one, usual in _USUAL.items():
             begin[one] = (begin[one] or usual) if one in free else 0.0
-        fits.append(fit_film(samples, begin, free))
+        fits.append(fit_film(samples, begin, free, most, gain))
     return best_of(fits)
 
 

@@ -27,7 +27,7 @@ DRAGGED = (*IDEAL, DRAG)
 PRIORS_SD = {PERSPECTIVE: 0.7, SLOPE: 0.1, DRAG: 0.2}
 """Of k, from the camera poses that people use; of p and of the drag, from the balls."""
 
-_FREEDOM = 4.0
+_FREEDOM = 8.0
 _LOW = np.array([0.005, -np.inf, -np.inf, -np.inf, 1.0, -2.5, -0.5, 0.0])
 _HIGH = np.array([1.0, np.inf, np.inf, np.inf, np.inf, 2.5, 0.5, 2.0])
 _OF_THE_BALL = (RESTITUTION, SLOPE, DRAG)
@@ -81,10 +81,12 @@ class Samples:
         }
         for one in free:
             if one in _OF_THE_BALL:
-                columns[one] = px_per_height * self._rise(times, unknowns, one)
+                moved = unknowns.copy()
+                moved[one] += _SHORT if unknowns[one] < _HIGH[one] - _SHORT else -_SHORT
+                rise = self.bounce(moved).heights(times) - heights
+                columns[one] = px_per_height * rise / (moved[one] - unknowns[one])
         if IMPACT in free or FALL in free:
-            ball = self.bounce(unknowns)
-            speeds = (ball.heights(times + _SHORT) - ball.heights(times - _SHORT)) / (2 * _SHORT)
+            speeds = (self.bounce(unknowns).heights(times + _SHORT) - heights) / _SHORT
             columns[IMPACT] = -px_per_height * speeds / np.exp(unknowns[FALL])
             columns[FALL] = -px_per_height * speeds * times
         return np.column_stack([columns[one] for one in free])
@@ -92,14 +94,6 @@ class Samples:
     def times(self, unknowns: Array) -> Array:
         """Of the samples [fall times after the first impact]."""
         return (self.seconds - unknowns[IMPACT]) / np.exp(unknowns[FALL])
-
-    def _rise(self, times: Array, unknowns: Array, one: int) -> Array:
-        """Change of the heights with one of the ball's own unknowns."""
-        ends = np.array([unknowns, unknowns])
-        ends[:, one] += np.array([-_SHORT, _SHORT])
-        ends[:, one] = np.clip(ends[:, one], _LOW[one], _HIGH[one])
-        low, high = (self.bounce(end).heights(times) for end in ends)
-        return (high - low) / (ends[1, one] - ends[0, one])
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +145,7 @@ def fit_film(
     gain: float = 1e-6,
     scale_px: float | None = None,
 ) -> FilmFit:
-    """Robust least squares (Student's t of 4) by Levenberg and Marquardt's steps.
+    """Robust least squares (Student's t of 8) by Levenberg and Marquardt's steps.
 
     Args:
         samples: what to explain.

@@ -28,10 +28,10 @@ from analysis.refine.rebounds import Rebound, rebounds
 
 Array = NDArray[np.float64]
 
-_PRIORS = {IDEAL: 0.5, SLOPED: 0.35, DRAGGED: 0.15}
+_PRIORS = {IDEAL: 0.7, SLOPED: 0.2, DRAGGED: 0.1}
 """Of the balls, before the track is looked at."""
 
-_RISE = 0.85 * TWO_SIDED**2 / 2
+_RISE = 0.93 * TWO_SIDED**2 / 2
 """How much less likely the ends are: a t distribution is flatter than the noise of a track."""
 
 _LEAST_SD = 2e-4
@@ -133,7 +133,7 @@ def _profile(fit: FilmFit, side: int, guess: float, scale_px: float, worth: floa
             return _LEAST_SD
         start = fit.unknowns.copy()
         start[RESTITUTION] = at
-        held = fit_film(fit.samples, start, others, most=12, gain=1e-5, scale_px=scale_px)
+        held = fit_film(fit.samples, start, others, most=8, gain=1e-4, scale_px=scale_px)
         rise = best - _log_density(replace(held, free=fit.free), scale_px, worth)
         share = float(np.sqrt(max(rise, 0.0) / _RISE))
         reached = abs(at - value) / TWO_SIDED
