@@ -109,7 +109,8 @@ def find_filmed_drop(
     if span < _LEAST_SPAN_PX:
         raise NotFoundError(f"the ball moves by only {span:.0f} px: film it larger, from closer")
     drag_1_m = (ball.drag_1_m if ball and not fit_drag else None) or 0.0
-    noise_px = max(noise_of(along), _least_noise(track.places_px[known]))
+    least_px = _WHOLE_PX_NOISE if is_whole(track.places_px[known]) else _LEAST_NOISE_PX
+    noise_px = max(noise_of(along), least_px)
     whole = Samples(seconds, along, noise_px, drag_1_m * CALIBRATED.gravity_m_s2 / 2)
     balls = (DRAGGED,) if fit_drag else (SLOPED,) if drag_1_m else (SLOPED, DRAGGED)
     fits = _best_fits(whole, balls)
@@ -286,9 +287,9 @@ def _part(whole: Samples, first: int, last: int) -> Samples:
     return replace(whole, seconds=whole.seconds[first:last], places_px=whole.places_px[first:last])
 
 
-def _least_noise(places_px: Array) -> float:
-    rounded = np.all(places_px == np.round(places_px))
-    return _WHOLE_PX_NOISE if rounded else _LEAST_NOISE_PX
+def is_whole(places_px: Array) -> bool:
+    """Whether places are rounded to whole pixels."""
+    return bool(np.all(places_px == np.round(places_px)))
 
 
 def _misfit(fits: Sequence[FilmFit]) -> float:
@@ -315,10 +316,19 @@ def _plausible(fit: FilmFit, span_px: float) -> bool:
 
 def _why_not(impacts: int, fitted: bool) -> str:
     if not impacts:
-        return "no bounce is seen: the ball never falls onto anything in view"
+        return (
+            "no bounce is seen: the ball never falls onto anything in view; at the next drop: "
+            "keep the table in view"
+        )
     if not fitted:
-        return "no free fall is seen before an impact (carried, caught, or too few pictures)"
-    return "what the ball does is no drop: it does not bounce along parabolas of one acceleration"
+        return (
+            "no free fall is seen before an impact (carried, caught, or too few pictures); at the "
+            "next drop: let go above the table, in view, and record until the ball lies still"
+        )
+    return (
+        "what the ball does is no drop: it does not bounce along parabolas of one acceleration; at "
+        "the next drop: let it bounce on a flat table, untouched, the camera still"
+    )
 
 
 def _drop(seconds: Array, along: Array, fit: Projection, noise_px: float, first: int) -> Drop:

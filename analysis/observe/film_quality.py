@@ -7,39 +7,39 @@ from typing import TypeGuard
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.observe.film import FilmedDrop
+from analysis.observe.film import FilmedDrop, is_whole
+from analysis.observe.film_doubts import clock_doubt, size_doubt
 from analysis.observe.quality import Check
 
 Array = NDArray[np.float64]
 
 _LEAST_SPAN_PX = 40
 _CLEAR_HOP = 6
-_SEEN = 0.8
-_REJECT_SEEN = 0.6
+_SEEN, _REJECT_SEEN = 0.8, 0.6
 _LOOKED_AT = 4.0
-_RESIDUAL = 0.02
-_REJECT_RESIDUAL = 0.04
+_RESIDUAL, _REJECT_RESIDUAL, _REJECT_WORST = 0.02, 0.03, 0.10
 _PERSPECTIVE = 1.4
 _REPEATED = 0.05
+_STEP_PX, _SAME_PX = 1.5, 0.02
+_CLOCK = 12.0
+_GROWS, _PERSPECTIVES_APART = 0.15, 0.2
+_SDS = 4.0
 
 
-def film_checks(film: FilmedDrop, restitution: float) -> list[Check]:
-    """What speaks for and against a track as a drop's.
-
-    Args:
-        film: the drop.
-        restitution: that was found.
-    """
+def film_checks(film: FilmedDrop) -> list[Check]:
+    """What speaks for and against a track as a drop's."""
     fit = film.projection
-    span, residual = fit.span_px, fit.residual_px / fit.span_px
-    noise_px = film.drop.noise_m / film.drop.drop_height_m * span
-    hop_px = restitution**2 * span
+    span = fit.span_px
+    left = np.abs(film.best.left_px) / span
+    residual, worst = fit.residual_px / span, float(np.quantile(left, 0.98))
     seen, repeated = _seen(film), _repeated(film)
+    gain, moment_s = clock_doubt(film.best)
     return [
         Check(
             "large enough",
             span > _LEAST_SPAN_PX,
             f"falls {span:.0f} px (wanted: {_LEAST_SPAN_PX} or more)",
+            advice="film from closer, the fall over half of the picture's height",
         ),
         Check(
             "stays in view",
@@ -47,28 +47,76 @@ def film_checks(film: FilmedDrop, restitution: float) -> list[Check]:
             f"found in {100 * seen:.0f} % of the pictures of the drop "
             f"(wanted: {100 * _SEEN:.0f} or more)",
             fatal=seen < _REJECT_SEEN,
+            advice="leave room at the sides, a plain background; mark the ball with --preview",
         ),
         Check(
             "pictures differ",
             repeated < _REPEATED,
-            f"{100 * repeated:.0f} % show the flying ball where it was (at most "
+            f"{100 * repeated:.0f} % show the moving ball where it was (at most "
             f"{100 * _REPEATED:.0f})",
+            advice="record at a rate that the camera keeps",
         ),
         Check(
             "bounces along parabolas",
             residual < _RESIDUAL,
             f"{100 * residual:.2f} % of the drop height off, rms (at most {100 * _RESIDUAL:.0f})",
-            fatal=residual > _REJECT_RESIDUAL,
+            fatal=residual > _REJECT_RESIDUAL or worst > _REJECT_WORST,
+            advice="let the ball bounce in the middle of a flat table, with nothing in its way",
         ),
+        Check(
+            "even clock",
+            gain < _CLOCK,
+            f"log likelihood ratio {gain:.1f} for a jump or another rate, at {moment_s:.2f} s "
+            f"(at most {_CLOCK:.0f})",
+            advice="use the camera's own file, not a screen recording or a re-encoded copy",
+        ),
+        *_distance_checks(film),
+    ]
+
+
+def hop_check(film: FilmedDrop, restitution: float) -> Check:
+    """Whether the first bounce can be seen at all, where no interval tells."""
+    span = film.projection.span_px
+    noise_px = film.drop.noise_m / film.drop.drop_height_m * span
+    hop_px, least = restitution**2 * span, max(_CLEAR_HOP * noise_px, 1.0)
+    return Check(
+        "rebound stands out",
+        hop_px > least,
+        f"{hop_px:.1f} px high (wanted: over {least:.1f})",
+        advice="film from closer",
+    )
+
+
+def _distance_checks(film: FilmedDrop) -> list[Check]:
+    fit, track = film.projection, film.track
+    checks = [
         Check(
             "seen from a distance",
             abs(fit.perspective) < _PERSPECTIVE,
             f"perspective {fit.perspective:+.2f} (at most {_PERSPECTIVE} either way)",
+            advice="film from farther away, the camera at the height of the bounces",
+        )
+    ]
+    along = -(track.places_px[film.used] @ film.down_px)
+    doubt = size_doubt(film.drop.seconds, along, track.radius_px[film.used], fit)
+    if doubt is None:
+        return checks
+    most = _GROWS + _SDS * doubt.grows_sd
+    apart = _PERSPECTIVES_APART + _SDS * doubt.perspective_sd
+    return [
+        *checks,
+        Check(
+            "keeps its distance",
+            abs(doubt.grows) < most,
+            f"grows by {100 * doubt.grows:+.0f} % (at most {100 * most:.0f} either way)",
+            advice="let go without pushing or spinning the ball",
         ),
         Check(
-            "rebound stands out",
-            hop_px > max(_CLEAR_HOP * noise_px, 1.0),
-            f"{hop_px:.1f} px high (wanted: over {max(_CLEAR_HOP * noise_px, 1.0):.1f})",
+            "size fits perspective",
+            abs(doubt.perspective) < apart,
+            f"perspective {doubt.perspective:+.2f} apart by the ball's size (at most {apart:.2f} "
+            "either way)",
+            advice="keep the camera still and the ball in one piece of light",
         ),
     ]
 
@@ -120,9 +168,12 @@ def _seen(film: FilmedDrop) -> float:
 
 
 def _repeated(film: FilmedDrop) -> float:
-    """Share of the pictures in which a fast ball has not moved at all."""
-    seconds, heights = film.drop.seconds, film.drop.heights_m
-    fit = film.projection
-    falling = (seconds > fit.impact_s - 0.7 * fit.fall_time_s) & (seconds < fit.impact_s)
-    steps = np.abs(np.diff(heights[falling])) / film.drop.drop_height_m * fit.span_px
-    return float(np.mean(steps < 0.02)) if len(steps) > 3 else 0.0
+    """Share of the pictures with a moving ball in which it has not moved at all."""
+    fit, best = film.projection, film.best
+    places = best.samples.places_px
+    expected = np.abs(np.diff(places + best.left_px))
+    whole = is_whole(film.track.places_px[film.used])  # then noise may hide a step
+    moving = expected > (max(_STEP_PX, _SDS * best.samples.noise_px) if whole else _STEP_PX)
+    moving &= fit.fall_times(best.samples.seconds[1:]) > -1
+    same = np.abs(np.diff(places)) < _SAME_PX
+    return float(np.mean(same[moving])) if np.count_nonzero(moving) > 3 else 0.0

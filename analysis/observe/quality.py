@@ -153,14 +153,21 @@ def rebound_check(drop: Drop, restitution: float) -> Check:
     )
 
 
-def sure_check(low: float, high: float) -> Check:
-    """Whether a 95 % interval is narrow enough to be of use."""
+def sure_check(low: float, high: float, reject: float = np.inf) -> Check:
+    """Whether a 95 % interval is narrow enough to be of use.
+
+    Args:
+        low: lower end.
+        high: upper end.
+        reject: half a width from which on nothing is known.
+    """
     half = (high - low) / 2
     shown, most = _pair(half, _SURE, 2, "g")
     return Check(
         "sure enough",
         half < _SURE,
         f"95 % interval of ±{shown} (at most {most})",
+        fatal=half > reject,
         advice="drop from higher, closer to the camera or at a higher rate",
     )
 

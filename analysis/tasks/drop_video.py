@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from analysis.estimators.base import Problem, Step
 from analysis.observe import drop as views
 from analysis.observe.film import FilmedDrop, canonical_film, find_filmed_drop, image_rows
-from analysis.observe.film_quality import film_checks, scale_checks
+from analysis.observe.film_quality import film_checks, hop_check, scale_checks
 from analysis.observe.flight_times import flight_ratio
 from analysis.observe.quality import Check, fit_check, recording_checks, sure_check
 from analysis.observe.tracking.pictures import Pictures
@@ -28,7 +28,10 @@ Array = NDArray[np.float64]
 
 _AGREEMENT = 0.03
 _FIT = 0.015
-_MOST_GAP_FALLS = 0.15
+_MOST_GAP_FALLS = 0.4
+_UNSURE = 0.1
+_LEAST_COMPARED = 0.5
+"""Fall times of the simulated flight that are held against the film's, at least."""
 
 
 class DropVideoTask:
@@ -115,7 +118,7 @@ class DropVideoTask:
         return Refined(
             values=np.array([value.restitution]),
             interval95=np.array([value.interval95]),
-            check=sure_check(*value.interval95),
+            check=sure_check(*value.interval95, reject=_UNSURE),
             rebounds=film_rebounds(value),
         )
 
@@ -124,13 +127,13 @@ class DropVideoTask:
         assert last.look is not None
         assert found.film is not None
         checks = recording_checks(found.drop, found.sideways_m, _MOST_GAP_FALLS)
-        checks += film_checks(found.film, float(last.values[0]))
+        checks += film_checks(found.film)
         checks += scale_checks(found.film, *found.known_m)
         if not found.physical:  # z and y are not to be compared
             return tuple(checks)
-        if refined is not None:
-            checks.append(refined.check)
-        first = found.target.axis < 2 * found.film.projection.bounce.restitution
+        value = float(last.values[0])
+        checks.append(refined.check if refined else hop_check(found.film, value))
+        first = found.target.axis < max(2 * value, _LEAST_COMPARED)
         most = _FIT + 2 * found.film.projection.residual_px / found.film.projection.span_px
         simulated, seen = (_only(one, first) for one in (last.look.observation, found.target))
         return (*checks, fit_check(simulated, seen, 1.0, most))

@@ -128,27 +128,27 @@ def test_what_is_no_drop_is_named(heights: np.ndarray, reason: str):
         find_filmed_drop(track_of(pixels(heights, 120, 0), 60), 0)
 
 
-def failed(track: Track, restitution: float) -> set[str]:
+def failed(track: Track) -> set[str]:
     found = find_filmed_drop(track, 0)
-    return {one.name for one in film_checks(found, restitution) if not one.passed}
+    return {one.name for one in film_checks(found) if not one.passed}
 
 
 def test_a_good_film_passes_every_check():
-    assert failed(filmed(0.7), 0.7) == set()
+    assert failed(filmed(0.7)) == set()
 
 
 def test_a_ball_that_is_lost_half_of_the_time_is_not_in_view():
     track = filmed(0.7, rate_hz=120)
     places = track.places_px.copy()
     places[70::2] = np.nan
-    assert "stays in view" in failed(replace(track, places_px=places), 0.7)
+    assert "stays in view" in failed(replace(track, places_px=places))
 
 
 def test_a_camera_that_repeats_pictures_is_seen():
     track = filmed(0.7, rate_hz=120)
     places = track.places_px.copy()
     places[1::2] = places[::2][: len(places[1::2])]
-    assert "pictures differ" in failed(replace(track, places_px=places), 0.7)
+    assert "pictures differ" in failed(replace(track, places_px=places))
 
 
 def test_a_frame_rate_that_cannot_be_is_seen_where_a_length_is_known():
