@@ -22,7 +22,7 @@ from analysis.tunenet.checkpoint import Purpose
 from analysis.tunenet.network import AntisymmetricNetwork, PaperNetwork
 from analysis.tunenet.pairs import PairSet, consecutive_pairs, cross_pairs, observe_all
 from recorders.simulators.contact import CALIBRATED, PAPER
-from recorders.simulators.drop import RESTITUTION, DropRig, DropSimulator
+from recorders.simulators.drop import RESTITUTION, TOPIC, DropRig, DropSimulator
 from recorders.simulators.pinhole import PinholeCamera, random_camera
 from tunenet_logs.errors import NotFoundError
 from tunenet_logs.progress import Progress
@@ -120,14 +120,32 @@ def _observe_paper_plans(plans: Sequence[FilmPlan]) -> Array:
         if plan.seed is None:
             curves.append(views.paper_unit_heights(episode).values)
             continue
-        rng = np.random.default_rng(plan.seed)
-        camera = _paper_camera(rng)
-        track = projected_track(episode, camera, _PAPER_NOISE_PX, 0.0, rng)
-        rows = track.places_px[:, 1]
-        known = np.isfinite(rows)
-        numbers = np.arange(len(rows))
-        curves.append(np.interp(numbers, numbers[known], rows[known])[:, None] / camera.size_px[1])
+        rows = paper_rows(episode.signals[TOPIC].values, np.random.default_rng(plan.seed))
+        curves.append(filled(rows)[:, None])
     return np.array(curves)
+
+
+def paper_rows(positions_m: Array, rng: np.random.Generator) -> Array:
+    """Where a ball is in the picture of one of the paper's cameras, 0 at the top, 1 at the bottom.
+
+    Args:
+        positions_m: of the ball, shape (T, 3).
+        rng: draws the camera and the noise of the track.
+
+    Returns:
+        Shape (T,), NaN where the ball is out of the picture.
+    """
+    camera = _paper_camera(rng)
+    places = camera.image_from_world(positions_m)
+    places = places + rng.normal(0.0, 1.0, places.shape) * _PAPER_NOISE_PX
+    inside = np.all((places > 0) & (places < np.array(camera.size_px) - 1), axis=1)
+    return np.where(inside, places[:, 1], np.nan) / camera.size_px[1]
+
+
+def filled(rows: Array) -> Array:
+    """Rows with those between joined by lines, for a network that must be told every one."""
+    known, numbers = np.isfinite(rows), np.arange(len(rows))
+    return np.interp(numbers, numbers[known], rows[known])
 
 
 def _paper_camera(rng: np.random.Generator) -> PinholeCamera:
