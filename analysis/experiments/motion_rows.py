@@ -119,9 +119,9 @@ ROWS = (
         "TuneNet (Obs)",
         "rollout",
         MotionError(6.03, 5.7),
-        note="the ball's row in the picture of an unknown camera; the paper's network and text, K = 5",
+        note="sees the ball's row in the picture, of an unknown camera; the paper's text, K = 5",
     ),
-    MotionRow("ours-obs", "ours (Obs)", "rollout", note="from the same rows, K = 5"),
+    MotionRow("ours-obs", "ours (Obs)", "rollout", note="sees the same rows; K = 5"),
     MotionRow(
         "tunenet-gt",
         "TuneNet (GT)",
