@@ -6,16 +6,31 @@ one for the heights to be true; the restitution does not depend on it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.observe.base import Observation, resample
+from analysis.observe.bounce_bank import bank_starts
 from analysis.observe.drop import canonical_axis, paper_axis
-from analysis.observe.free_fall import Drop, impact_candidates, noise_of
-from analysis.observe.projection import Projection, bounce_curve, fit_projection
+from analysis.observe.film_fit import (
+    DRAG,
+    FALL,
+    IDEAL,
+    IMPACT,
+    RESTITUTION,
+    SLOPE,
+    SPAN,
+    FilmFit,
+    Samples,
+    fit_film,
+)
+from analysis.observe.film_windows import bounces_end, fall_start, film_impacts, held_start
+from analysis.observe.free_fall import Drop, noise_of
+from analysis.observe.projection import Projection
 from analysis.observe.tracking.track import Track
+from recorders.simulators.balls import Ball
 from recorders.simulators.contact import CALIBRATED
 from tunenet_logs.errors import NotFoundError
 
@@ -25,8 +40,17 @@ _LEAST_SPAN_PX = 15.0
 _MOST_IMPACTS = 6
 _MOST_CANDIDATES = 6
 _FALL_SHARES = (0.96, 0.8, 0.6)
-_GOOD_FIT = 0.012
+_STARTS = 6
+_ROUGHLY = (8, 1e-4)
+_FEWEST = 4
 _MARGIN_S = 0.5
+_REST_SEEN = 1.0
+_WHOLE_PX_NOISE, _LEAST_NOISE_PX = 0.45, 0.1
+"""Rounding to whole pixels is no noise: a ball that lies still is always rounded the same way."""
+
+_USUAL_SLOPE = 0.08
+_ENDLESS = 0.995
+"""A restitution that no ball has."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +60,10 @@ class FilmedDrop:
     Attributes:
         track: the ball in every picture.
         down_px: unit vector of the image's vertical, shape (2,).
-        projection: where its heights are in the picture; on the log's time.
+        ideal: fit of a ball that keeps its restitution.
+        real: fit of one whose restitution falls with speed, or that the air slows if that was asked
+            for, to the same samples.
+        projection: where its heights are in the picture, by the better fit; on the log's time.
         used: which pictures the drop is made of, shape (T,) of the track.
         sideways: distance from the image's vertical [drop heights], one for each used picture.
         drop: its heights by the projection, contact at 0.
@@ -44,18 +71,29 @@ class FilmedDrop:
 
     track: Track
     down_px: Array
+    ideal: FilmFit
+    real: FilmFit
     projection: Projection
     used: NDArray[np.bool_]
     sideways: Array
     drop: Drop
 
+    @property
+    def better(self) -> FilmFit:
+        """Of the two fits."""
+        return _better(self.ideal, self.real)
 
-def find_filmed_drop(track: Track, start_ns: int) -> FilmedDrop:
+
+def find_filmed_drop(
+    track: Track, start_ns: int, ball: Ball | None = None, *, fit_drag: bool = False
+) -> FilmedDrop:
     """The first drop in a track.
 
     Args:
         track: see `track_ball`.
         start_ns: where the drop's clock is 0.
+        ball: what was dropped, if that is known.
+        fit_drag: whether to find the air's drag, and not the slope of the restitution.
 
     Raises:
         NotFoundError: there is none; the message says why.
@@ -67,44 +105,37 @@ def find_filmed_drop(track: Track, start_ns: int) -> FilmedDrop:
     span = float(np.ptp(along))
     if span < _LEAST_SPAN_PX:
         raise NotFoundError(f"the ball moves by only {span:.0f} px: film it larger, from closer")
-    noise = max(noise_of(along), 0.02)
-    candidates = impact_candidates(seconds, along)
-    fits = []
-    for at in range(min(len(candidates), _MOST_CANDIDATES)):
-        fit = _fit_from(seconds, along, candidates[at:], noise)
-        if fit is None:
-            continue
-        projection, first, last = fit
-        quality = projection.residual_px / projection.span_px
-        fits.append((quality, projection, first, last))
-        if quality < _GOOD_FIT and _plausible(projection, float(seconds[last - 1]), span):
-            break
-    plausible = [fit for fit in fits if _plausible(fit[1], float(seconds[fit[3] - 1]), span)]
-    if not plausible:
-        raise NotFoundError(_why_not(len(candidates), bool(fits)))
-    _, projection, first, last = min(plausible, key=lambda fit: max(fit[0], _GOOD_FIT))
-    begin = max(0, int(np.searchsorted(seconds, seconds[first] - _MARGIN_S)))
+    drag_1_m = (ball.drag_1_m if ball and not fit_drag else None) or 0.0
+    noise_px = max(noise_of(along), _least_noise(track.places_px[known]))
+    whole = Samples(seconds, along, noise_px, drag_1_m * CALIBRATED.gravity_m_s2 / 2)
+    ideal, real = _best_fits(whole, (*IDEAL, DRAG if fit_drag else SLOPE))
+    better = _better(ideal, real)
+    projection = better.projection()
+    begin = int(np.searchsorted(seconds, better.samples.seconds[0] - _MARGIN_S))
+    last = int(np.searchsorted(seconds, better.samples.seconds[-1], side="right"))
     used = np.zeros(len(track.stamps_ns), dtype=bool)
     used[known[begin:last]] = True
     across = track.places_px[used] @ np.array([down[1], -down[0]])
     return FilmedDrop(
         track=track,
         down_px=down,
+        ideal=ideal,
+        real=real,
         projection=projection,
         used=used,
         sideways=(across - np.median(across)) / projection.span_px,
-        drop=_drop(seconds[begin:last], along[begin:last], projection, noise, begin),
+        drop=_drop(seconds[begin:last], along[begin:last], projection, noise_px, begin),
     )
 
 
 def canonical_film(film: FilmedDrop) -> Observation:
     """The flights that were seen, on the canonical grid of `canonical`.
 
-    They are the parabolas of the fitted projection, each as long as it was seen to last, not the
-    samples: those carry the noise of a track, which counts for much where a bounce is small.
+    They are those of the fitted ball, without the air, not the samples: those carry the noise of a
+    track, which counts for much where a bounce is small.
     """
     axis, fit, drop = canonical_axis(), film.projection, film.drop
-    values = bounce_curve(axis, fit.impacts)
+    values = replace(fit.bounce, drag=0.0).heights(axis)
     last = float(fit.fall_times(drop.seconds[-1:])[0])
     seen = last if np.isnan(drop.rest_m) else np.inf
     values[axis > seen] = np.nan
@@ -130,70 +161,151 @@ def image_rows(film: FilmedDrop, start_s: float) -> Observation:
     return Observation(values[:, None], paper_axis(), "time [s]", ("y [picture heights]",))
 
 
-def _fit_from(
-    seconds: Array, along: Array, impacts: list[int], noise: float
-) -> tuple[Projection, int, int] | None:
-    """The projection if the first of these is the first impact, and the samples that it is from."""
-    index = impacts[0]
-    last = _end(seconds, along, impacts)
-    impacts = [one for one in impacts[:_MOST_IMPACTS] if one < last]
-    best: tuple[Projection, int, int] | None = None
+def _better(*fits: FilmFit) -> FilmFit:
+    scale = min(fit.scale_px for fit in fits)
+    return min(fits, key=lambda fit: fit.cost(scale))
+
+
+def _best_fits(whole: Samples, real_free: tuple[int, ...]) -> tuple[FilmFit, FilmFit]:
+    """The fits from the first impact that may be the first one.
+
+    Raises:
+        NotFoundError: from none of them on the track is a drop's.
+    """
+    impacts = film_impacts(whole.seconds, whole.places_px, whole.noise_px)
+    span = float(np.ptp(whole.places_px))
+    fits: list[tuple[FilmFit, FilmFit]] = []
+    for index in impacts[:_MOST_CANDIDATES]:
+        pair = _fits_from(whole, index, real_free)
+        if pair is None:
+            continue
+        fits.append(pair)
+        if _good(pair) and _plausible(pair[1], span):
+            break
+    plausible = [pair for pair in fits if _plausible(pair[1], span)]
+    if not plausible:
+        raise NotFoundError(_why_not(len(impacts), bool(fits)))
+    return min(plausible, key=lambda pair: _misfit(pair) if not _good(pair) else 0.0)
+
+
+def _fits_from(
+    whole: Samples, index: int, real_free: tuple[int, ...]
+) -> tuple[FilmFit, FilmFit] | None:
+    """The fits if the ball first hits near sample `index`; None where no fall is seen before."""
+    last = bounces_end(whole.seconds, whole.places_px, index)
+    best: tuple[FilmFit, FilmFit] | None = None
     for share in _FALL_SHARES:
-        first = _fall_start(along, index, share, noise)
-        if index - first < 4 or last - index < 4:
+        first = fall_start(whole.places_px, index, share, whole.noise_px)
+        if index - first < _FEWEST or last - index < _FEWEST:
             continue
-        fall_s = _fall_time(seconds[first:index], along[first:index])
-        if fall_s is None:
+        rough = _rough_fits(_part(whole, first, last), float(whole.seconds[index]))
+        if not rough:
             continue
-        part = slice(first, last)
-        fit = fit_projection(seconds[part], along[part], seconds[impacts], fall_s, noise)
-        if fit is None:
-            continue
-        if best is None or fit.residual_px < 0.7 * best[0].residual_px:
-            best = (fit, first, last)
-        if fit.residual_px < 2 * noise + 0.003 * fit.span_px:
+        pair = _finished(whole, rough, real_free)
+        if best is None or _misfit(pair) < 0.7 * _misfit(best):
+            best = pair
+        if _good(pair):
             break
     return best
 
 
-def _fall_start(along: Array, index: int, share: float, noise: float) -> int:
-    """The first sample of the fall, its slow upper part left out: there a hand may still be."""
-    low = float(along[index - 1 : index + 2].min())
-    top, first = low, index
-    while first > 0 and along[first - 1] > top - 4 * noise - 0.03 * (top - low):
-        first -= 1
-        top = max(top, float(along[first]))
-    high = np.flatnonzero(along[first:index] > low + share * (top - low))
-    return first + (int(high[-1]) + 1 if len(high) else 0)
+def _rough_fits(samples: Samples, impact_s: float) -> list[FilmFit]:
+    """From the best points of the bank, best first."""
+    bank = bank_starts(samples.seconds, samples.places_px, impact_s, _STARTS)
+    fits = [fit_film(samples, start, IDEAL, *_ROUGHLY) for _, start in bank]
+    scale = min((fit.scale_px for fit in fits), default=1.0)
+    return sorted(fits, key=lambda fit: fit.cost(scale))
 
 
-def _fall_time(seconds: Array, along: Array) -> float | None:
-    """T0 [s] by the parabola of the fall; None where it does not accelerate downward."""
-    clock = seconds - seconds[-1]
-    curve, slope, _ = (float(value) for value in np.polyfit(clock, along, 2))
-    if curve >= 0 or slope >= 0:
-        return None
-    return float(np.clip(slope / (2 * curve), 0.5 * np.ptp(clock), 6 * np.ptp(clock)))
+def _finished(
+    whole: Samples, rough: list[FilmFit], real_free: tuple[int, ...]
+) -> tuple[FilmFit, FilmFit]:
+    """Both balls, fitted to the bounces that count and to the ball before it was let go."""
+    real = _best_real(rough[0].samples, [fit.unknowns for fit in rough[:3]], real_free)
+    samples = _counting(whole, real)
+    real = _best_real(samples, [real.unknowns], real_free)
+    samples = _with_held(whole, real)
+    if samples is not real.samples:
+        held = fit_film(samples, real.unknowns, real_free)
+        if held.nearly_worst_px < 1.5 * max(real.nearly_worst_px, whole.noise_px):
+            real = held
+    starts = [real.unknowns, rough[0].unknowns]
+    ideals = []
+    for start in starts:
+        begin = start.copy()
+        begin[list(set(real_free) - set(IDEAL))] = 0.0
+        ideals.append(fit_film(real.samples, begin, IDEAL))
+    ideal = _better(*ideals)
+    return ideal, _better(real, fit_film(real.samples, ideal.unknowns, real_free))
 
 
-def _end(seconds: Array, along: Array, impacts: list[int]) -> int:
-    """Where the bounces end: at the last impact that is modelled, or when the ball is lifted."""
-    index = impacts[0]
-    low = float(along[index - 1 : index + 2].min())
-    top = float(along[max(0, index - 200) : index].max())
-    above = np.flatnonzero(along[index:] > low + 1.15 * (top - low))
-    last = index + int(above[0]) if len(above) else len(along)
-    if len(impacts) > _MOST_IMPACTS:
-        last = min(last, impacts[_MOST_IMPACTS] + 1)
-    gaps = np.flatnonzero(np.diff(seconds[index:last]) > 1.0)
-    return index + int(gaps[0]) + 1 if len(gaps) else last
+def _best_real(samples: Samples, starts: list[Array], free: tuple[int, ...]) -> FilmFit:
+    fits = []
+    for start in starts:
+        begin = start.copy()
+        if begin[SLOPE] == 0 and SLOPE in free:
+            begin[SLOPE] = _USUAL_SLOPE
+        fits.append(fit_film(samples, begin, free))
+    return _better(*fits)
 
 
-def _plausible(projection: Projection, last_s: float, span_px: float) -> bool:
+def _counting(whole: Samples, fit: FilmFit) -> Samples:
+    """Without the bounces after the sixth, and without most of a rest."""
+    impact_s, fall_s = float(fit.unknowns[IMPACT]), float(np.exp(fit.unknowns[FALL]))
+    seconds = fit.samples.seconds
+    last = float((seconds[-1] - impact_s) / fall_s)
+    starts, speeds = whole.bounce(fit.unknowns).flights(last)
+    if len(starts) > _MOST_IMPACTS:
+        end = float(starts[_MOST_IMPACTS])
+    else:
+        end = float(starts[-1]) if speeds[-1] == 0 else np.inf
+    first = int(np.searchsorted(whole.seconds, seconds[0]))
+    end_s = min(impact_s + fall_s * (end + _REST_SEEN), float(seconds[-1]))
+    return _part(whole, first, int(np.searchsorted(whole.seconds, end_s, side="right")))
+
+
+def _with_held(whole: Samples, fit: FilmFit) -> Samples:
+    """With the samples just before the fall in which the ball is where it is let go."""
+    first = int(np.searchsorted(whole.seconds, fit.samples.seconds[0]))
+    fall_s = float(np.exp(fit.unknowns[FALL]))
+    earliest = float(fit.unknowns[IMPACT]) - 2 * fall_s
+    begin = int(np.searchsorted(whole.seconds, earliest))
+    if first - begin < 2:
+        return fit.samples
+    left = _part(whole, begin, first).left_px(fit.unknowns)
+    held = begin + held_start(left, 4 * fit.scale_px)
+    last = first + len(fit.samples.seconds)
+    return fit.samples if first - held < 2 else _part(whole, held, last)
+
+
+def _part(whole: Samples, first: int, last: int) -> Samples:
+    return replace(whole, seconds=whole.seconds[first:last], places_px=whole.places_px[first:last])
+
+
+def _least_noise(places_px: Array) -> float:
+    rounded = np.all(places_px == np.round(places_px))
+    return _WHOLE_PX_NOISE if rounded else _LEAST_NOISE_PX
+
+
+def _misfit(pair: tuple[FilmFit, FilmFit]) -> float:
+    """What the better ball leaves, as a share of the fall."""
+    return min(fit.nearly_worst_px / float(fit.unknowns[SPAN]) for fit in pair)
+
+
+def _good(pair: tuple[FilmFit, FilmFit]) -> bool:
+    """Whether what is left is noise, or little."""
+    real = pair[1]
+    return _misfit(pair) < 1.5 * real.samples.noise_px / float(real.unknowns[SPAN]) + 0.004
+
+
+def _plausible(fit: FilmFit, span_px: float) -> bool:
     """Whether it can be a drop at all: what it sees of one, and how large."""
-    after = float(projection.fall_times(np.array([last_s]))[0])
-    size = abs(np.log(projection.span_px / span_px))
-    return after > 0.3 and size < 1.2 and projection.residual_px < 0.05 * projection.span_px
+    seconds = fit.samples.seconds[-1] - fit.unknowns[IMPACT]
+    after = float(seconds / np.exp(fit.unknowns[FALL]))
+    size = abs(np.log(fit.unknowns[SPAN] / span_px))
+    rms = float(np.sqrt(np.mean(fit.left_px**2))) / fit.unknowns[SPAN]
+    lasting = fit.unknowns[RESTITUTION] > _ENDLESS
+    return bool(after > 0.3 and size < 1.2 and rms < 0.05 and not lasting)
 
 
 def _why_not(impacts: int, fitted: bool) -> str:
@@ -208,7 +320,10 @@ def _drop(seconds: Array, along: Array, fit: Projection, noise_px: float, first:
     gravity = CALIBRATED.gravity_m_s2
     height_m = gravity * fit.fall_time_s**2 / 2
     heights = np.clip(fit.heights(along), -1.0, 2.0)
-    lying = seconds > fit.impact_s + fit.fall_time_s * fit.impacts[-1]
+    last = float(fit.fall_times(seconds[-1:])[0])
+    starts, speeds = fit.bounce.flights(last)
+    lies_s = fit.impact_s + fit.fall_time_s * float(starts[-1])
+    lying = seconds[(seconds > lies_s) & (speeds[-1] == 0)]
     return Drop(
         first=first,
         seconds=seconds,
@@ -218,12 +333,12 @@ def _drop(seconds: Array, along: Array, fit: Projection, noise_px: float, first:
         impact_s=fit.impact_s,
         contact_m=0.0,
         impact_speed_m_s=gravity * fit.fall_time_s,
-        flight_restitution=fit.first_flight,
-        flight_restitution_sd=fit.flight_ratio_sd,
+        flight_restitution=fit.bounce.restitution,
+        flight_restitution_sd=float("nan"),
         gravity_m_s2=gravity,
         drag=float("nan"),
         drag_sd=float("nan"),
         noise_m=noise_px / fit.span_px * height_m,
-        rest_m=0.0 if lying.sum() > 5 else float("nan"),
+        rest_m=0.0 if len(lying) > 5 else float("nan"),
         rest_tolerance_m=height_m,
     )

@@ -144,7 +144,7 @@ def impact_candidates(seconds: Array, heights: Array) -> list[int]:
     width = max(2, round(_SLOPE_WINDOW_S / float(np.median(np.diff(seconds)))))
     if len(heights) <= 2 * width:
         return []
-    slopes = _slopes(seconds, heights, width)
+    slopes = run_slopes(seconds, heights, width)
     before, after = slopes[:-width], slopes[width:]  # of sample i + width
     fast = before < 0.12 * min(before.min(), 0.0)
     jump = np.where(fast & (after > 0.5 * before), after - before, 0.0)
@@ -157,8 +157,8 @@ def impact_candidates(seconds: Array, heights: Array) -> list[int]:
     return [peak + width for peak in peaks]
 
 
-def _slopes(seconds: Array, heights: Array, width: int) -> Array:
-    """Slope [m/s] of each run of width + 1 samples, between the means of its halves."""
+def run_slopes(seconds: Array, heights: Array, width: int) -> Array:
+    """Slope a second of each run of width + 1 samples, between the means of its halves."""
     half = (width + 1) // 2
 
     def rise(values: Array) -> Array:

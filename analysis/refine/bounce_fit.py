@@ -15,12 +15,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.observe.free_fall import Drop
+from analysis.refine.averaging import TWO_SIDED, Opinion, average, correlation_time
 from recorders.simulators.bounce import Bounce
 
 Array = NDArray[np.float64]
@@ -38,8 +38,6 @@ _EXACT = 1e-4
 """Of the drop height: what no recording, and no model of a ball, is held to."""
 
 _LEAST_HALF_WIDTH = 2e-5
-_TAILS = (0.025, 0.975)
-_TWO_SIDED = 1.96
 _STEP = 1e-3
 _FIT_SD = 4.0
 _FEWEST = 12
@@ -96,11 +94,12 @@ def fit_bounce(drop: Drop, initial: float) -> BounceFit | None:
     if best is None:
         return None
     best = best.without_rounded_impacts()
-    answer = best.averaged()
+    opinions = best.opinions()
+    restitution, interval95 = average(opinions)
     return BounceFit(
-        restitution=answer.mean,
-        interval95=answer.interval95(),
-        real=answer.real,
+        restitution=restitution,
+        interval95=interval95,
+        real=opinions[1].weight,
         flights=best.flights,
         residual_m=best.sd,
         samples=len(best.seconds),
@@ -164,7 +163,7 @@ class _Fit:
         kept = self.seconds[~near], self.heights_m[~near]
         return _Fit.to(*kept, self.unknowns, self.flights)
 
-    def averaged(self) -> _Average:
+    def opinions(self) -> tuple[Opinion, Opinion]:
         """The ideal ball and the real one, by how well each explains the samples.
 
         The real ball's two parameters have normal priors; with them, and linear about the ideal
@@ -192,13 +191,12 @@ class _Fit:
         allowed = variance * worth * float(t.ppf(0.975, freedom)) ** 2
         reach = [max(abs(self._end(side, allowed) - value), _LEAST_HALF_WIDTH) for side in (-1, 1)]
         odds = _REAL / (1 - _REAL) * np.exp(min(log_odds, 50.0))
-        return _Average(
-            ideal=value,
-            shift=float(moves @ found),
-            sds=(reach[0] / _TWO_SIDED, reach[1] / _TWO_SIDED),
-            wider=wider,
-            real=float(odds / (1 + odds)),
-        )
+        real = float(odds / (1 + odds))
+        below, above = (one / TWO_SIDED for one in reach)
+        more = np.hypot((below, above), np.sqrt(wider))
+        shifted = value + float(moves @ found)
+        ideal = Opinion(value, (below, above), 1 - real)
+        return ideal, Opinion(shifted, (float(more[0]), float(more[1])), real)
 
     def _real_slopes(self) -> Array:
         """What slope and drag do to the heights, shape (samples, 2)."""
@@ -230,69 +228,8 @@ class _Fit:
         return float(np.clip(value + side * reach, 0.0, 1.0))
 
     def _correlation_time(self) -> float:
-        """How many samples are worth one: 1 for white noise, more where neighbours lean one way."""
         left = _residual(self.seconds, self.heights_m)(self.unknowns)
-        count, power = len(left), float(left @ left)
-        lags = [float(left[lag:] @ left[:-lag]) / power for lag in range(1, count // 4)]
-        chance = 2 / np.sqrt(count)
-        if not lags or lags[0] < chance:
-            return 1.0
-        lasting = next((at for at, one in enumerate(lags) if one < chance), len(lags))
-        first = min(lags[0] + _UNKNOWNS * (1 + lags[0]) / count, 0.98)  # fitting takes that away
-        return max(1 + 2 * sum(lags[:lasting]), (1 + first) / (1 - first) if lasting > 2 else 1.0)
-
-
-@dataclass(frozen=True)
-class _Average:
-    """Two normal distributions of the restitution, the ideal ball's and the real one's.
-
-    Attributes:
-        ideal: its value for the ideal ball.
-        shift: how far that of the real one is from there.
-        sds: standard deviations of the ideal one, to below and above.
-        wider: variance that the real one has more.
-        real: weight of the real one.
-    """
-
-    ideal: float
-    shift: float
-    sds: tuple[float, float]
-    wider: float
-    real: float
-
-    @property
-    def mean(self) -> float:
-        return float(np.clip(self.ideal + self.real * self.shift, 0.0, 1.0))
-
-    def interval95(self) -> tuple[float, float]:
-        low, high = (self._quantile(share, sd) for share, sd in zip(_TAILS, self.sds, strict=True))
-        return max(0.0, min(low, self.mean)), min(1.0, max(high, self.mean))
-
-    def _quantile(self, share: float, sd: float) -> float:
-        from scipy.optimize import brentq
-        from scipy.stats import norm
-
-        both = (
-            (self.ideal, sd, 1 - self.real),
-            (
-                self.ideal + self.shift,
-                float(np.hypot(sd, np.sqrt(self.wider))),
-                self.real,
-            ),
-        )
-        ends = [middle + side * 9 * wide for middle, wide, _ in both for side in (-1, 1)]
-
-        def excess(value: float) -> float:
-            return (
-                sum(
-                    float(weight * norm.cdf((value - middle) / wide))
-                    for middle, wide, weight in both
-                )
-                - share
-            )
-
-        found: Any = brentq(excess, min(ends), max(ends), xtol=1e-9)
-        return float(found)
+        return correlation_time(left, _UNKNOWNS)
 
 
 def _residual(seconds: Array, heights_m: Array) -> Residual:

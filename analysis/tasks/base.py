@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from analysis.estimators.base import Problem, Step
 from analysis.observe.quality import Check
 from analysis.observe.tracking.track import Hints
+from analysis.refine.rebounds import Rebound
 from analysis.tunenet.checkpoint import Purpose
 from analysis.tunenet.network import Network
 from analysis.tunenet.pairs import PairSet
@@ -49,23 +50,6 @@ class CrossCheck:
     method: str
     value: float
     agrees: bool
-
-
-@dataclass(frozen=True)
-class Rebound:
-    """One impact of a ball.
-
-    Attributes:
-        impact_s: when, on the drop's clock [s].
-        restitution: there.
-        interval95: of the restitution.
-        impact_speed_m_s: None where nothing fixes the scale.
-    """
-
-    impact_s: float
-    restitution: float
-    interval95: tuple[float, float]
-    impact_speed_m_s: float | None
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,9 +12,11 @@ from analysis.estimators.base import Problem, Step
 from analysis.observe import drop as views
 from analysis.observe.film import FilmedDrop, canonical_film, find_filmed_drop, image_rows
 from analysis.observe.film_quality import film_checks, scale_checks
-from analysis.observe.quality import Check, fit_check, recording_checks
+from analysis.observe.flight_times import flight_ratio
+from analysis.observe.quality import Check, fit_check, recording_checks, sure_check
 from analysis.observe.tracking.pictures import Pictures
 from analysis.observe.tracking.track import Hints, Track, track_ball
+from analysis.refine.film_value import film_rebounds, film_value
 from analysis.tasks.base import CrossCheck, Preset, Refined, Selection
 from analysis.tasks.drop_video_presets import PRESETS
 from analysis.tasks.found_drop import FoundDrop, drop_problem
@@ -25,7 +27,6 @@ from tunenet_logs.errors import NotFoundError
 Array = NDArray[np.float64]
 
 _AGREEMENT = 0.03
-_AGREEMENT_OF_FLIGHTS = 0.04
 _FIT = 0.015
 _MOST_GAP_FALLS = 0.15
 
@@ -87,7 +88,7 @@ class DropVideoTask:
         self, track: Track, start_ns: int, selection: Selection, preset: str
     ) -> FoundDrop:
         """The first drop in a track, whose clock is 0 at `start_ns`; see `Task.find`."""
-        film = find_filmed_drop(track, start_ns)
+        film = find_filmed_drop(track, start_ns, selection.ball, fit_drag=selection.fit_drag)
         physical = PRESETS[preset].physical
         return FoundDrop(
             physical=physical,
@@ -105,15 +106,20 @@ class DropVideoTask:
         """See `Task.problem`."""
         return drop_problem(found, initial)
 
-    def refine(self, found: FoundDrop, estimate: Array) -> None:
-        """There is none for films; see `Task.refine`."""
+    def refine(self, found: FoundDrop, estimate: Array) -> Refined | None:
+        """The bounce in closed form through a projective camera; see `Task.refine`."""
+        if not found.physical:
+            return None
+        assert found.film is not None
+        value = film_value(found.film, float(estimate[0]))
+        return Refined(
+            values=np.array([value.restitution]),
+            interval95=np.array([value.interval95]),
+            check=sure_check(*value.interval95),
+            rebounds=film_rebounds(found.film, value),
+        )
 
-    def checks(
-        self,
-        found: FoundDrop,
-        last: Step,
-        refined: Refined | None,  # noqa: ARG002 (there is none)
-    ) -> tuple[Check, ...]:
+    def checks(self, found: FoundDrop, last: Step, refined: Refined | None) -> tuple[Check, ...]:
         """See `Task.checks`."""
         assert last.look is not None
         assert found.film is not None
@@ -122,24 +128,26 @@ class DropVideoTask:
         checks += scale_checks(found.film, *found.known_m)
         if not found.physical:  # z and y are not to be compared
             return tuple(checks)
+        if refined is not None:
+            checks.append(refined.check)
+        first = found.target.axis < 2 * found.film.projection.bounce.restitution
         most = _FIT + 2 * found.film.projection.residual_px / found.film.projection.span_px
-        return (*checks, fit_check(last.look.observation, found.target, 1.0, most))
+        simulated, seen = (_only(one, first) for one in (last.look.observation, found.target))
+        return (*checks, fit_check(simulated, seen, 1.0, most))
 
-    def cross_check(self, found: FoundDrop, estimate: Array) -> CrossCheck | None:
+    def cross_check(self, found: FoundDrop, estimate: Array) -> CrossCheck | None:  # noqa: ARG002
         """How much shorter the second flight is than the first, which no projection changes."""
         assert found.film is not None
-        projection = found.film.projection
-        if not found.physical:
+        ratio = flight_ratio(found.film.better) if found.physical else None
+        if ratio is None:
             return None
-        last_s = float(projection.fall_times(found.drop.seconds[-1:])[0])
-        if len(projection.impacts) > 2 and last_s > projection.impacts[2]:
-            flights = np.diff(projection.impacts)
-            value, method = float(flights[1] / flights[0]), "durations of the first two flights"
-            margin = _AGREEMENT_OF_FLIGHTS + 3 * projection.flight_ratio_sd
-        else:
-            value, method = projection.first_flight, "duration of the first flight"
-            margin = _AGREEMENT + 3 * projection.flight_ratio_sd
-        return CrossCheck(method, value, bool(abs(value - estimate[0]) < margin))
+        agrees = abs(ratio.value - ratio.fitted) < _AGREEMENT + 3 * ratio.sd
+        return CrossCheck("durations of the first two flights", ratio.value, bool(agrees))
+
+
+def _only(observation: views.Observation, chosen: NDArray[np.bool_]) -> views.Observation:
+    """A part of an observation."""
+    return replace(observation, values=observation.values[chosen], axis=observation.axis[chosen])
 
 
 def _tracked(pictures: Pictures, hints: Hints, info: EpisodeInfo) -> tuple[Track, list[str]]:

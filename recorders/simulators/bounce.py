@@ -27,11 +27,13 @@ class Bounce:
         restitution: at the first impact, e_1.
         slope: p of e_n = e_1 (v_n / v_1)^-p: how the restitution falls with the impact's speed.
         drag: quadratic drag, deceleration over speed squared, times the drop height.
+        each: restitutions at the first impacts, where they follow no law.
     """
 
     restitution: float
     slope: float = 0.0
     drag: float = 0.0
+    each: tuple[float, ...] = ()
 
     def heights(self, places: Array) -> Array:
         """Heights u [drop heights] at `places` s, shape (T,); 1 before the fall, 0 after all."""
@@ -42,25 +44,31 @@ class Bounce:
 
     def flights(self, last: float) -> tuple[Array, Array]:
         """When each flight up to `last` starts, and with what speed; the first starts at 0."""
-        starts, speeds = [0.0], [self.restitution * self._fall_speed(1.0)]
-        first = self._fall_speed(1.0)
+        first = self.fall_speed(1.0)
+        starts, speeds = [0.0], [self._kept(0, 1.0) * first]
         while starts[-1] <= last and len(starts) < _MOST_FLIGHTS and speeds[-1] > _SLOWEST:
-            apex, lasted = self._apex(speeds[-1])
-            impact = self._fall_speed(apex)
-            kept = min(self.restitution * (impact / first) ** -self.slope, 1.0)
+            apex, lasted = self.apex(speeds[-1])
+            impact = self.fall_speed(apex)
+            kept = self._kept(len(starts), impact / first)
             starts.append(starts[-1] + lasted)
             speeds.append(kept * impact)
         if speeds[-1] <= _SLOWEST:
             speeds[-1] = 0.0
         return np.array(starts), np.array(speeds)
 
-    def _fall_speed(self, height: float) -> float:
-        """At the end of a fall from rest."""
+    def _kept(self, number: int, share: float) -> float:
+        """Restitution at an impact, whose speed is this share of the first one's."""
+        if number < len(self.each):
+            return self.each[number]
+        return min(self.restitution * share**-self.slope, 1.0)
+
+    def fall_speed(self, height: float) -> float:
+        """At the end of a fall from rest [drop heights, sqrt(2 H / g)]."""
         if self.drag < _NO_DRAG:
             return float(2.0 * np.sqrt(height))
         return float(np.sqrt(-2.0 * np.expm1(-2.0 * self.drag * height) / self.drag))
 
-    def _apex(self, speed: float) -> tuple[float, float]:
+    def apex(self, speed: float) -> tuple[float, float]:
         """Height of a flight, and how long it lasts."""
         if self.drag < _NO_DRAG:
             return speed**2 / 4.0, speed

@@ -9,7 +9,6 @@ import pytest
 
 from analysis.observe.film import canonical_film, find_filmed_drop
 from analysis.observe.film_quality import film_checks, scale_checks
-from analysis.observe.projection import bounce_curve
 from analysis.observe.tracking.track import Track
 from tests.strangers import bounce_heights
 from tunenet_logs.errors import NotFoundError
@@ -63,7 +62,7 @@ def test_any_camera_height_and_rate(
     track = filmed(restitution, gap_m, rate_hz, perspective, seconds=6 * np.sqrt(gap_m))
     found = find_filmed_drop(track, 0)
     fit = found.projection
-    assert fit.first_flight == pytest.approx(restitution, abs=0.012)
+    assert fit.bounce.restitution == pytest.approx(restitution, abs=0.012)
     assert fit.fall_time_s == pytest.approx(np.sqrt(2 * gap_m / GRAVITY), rel=0.02)
     assert found.drop.drop_height_m == pytest.approx(gap_m, rel=0.04)
     observed = canonical_film(found).values[:, 0]
@@ -71,17 +70,10 @@ def test_any_camera_height_and_rate(
     assert np.nanmax(np.abs(observed - exact)) < 0.06
 
 
-def test_the_curve_is_the_bounce_in_closed_form():
-    times = np.linspace(-1.5, 4, 200)
-    impacts = np.concatenate([[0], np.cumsum([2 * 0.6**n for n in range(1, 12)])])
-    exact = bounce_heights(0.6, 1.0, times + 1, gravity=2.0)
-    assert bounce_curve(times, impacts) == pytest.approx(exact, abs=1e-9)
-
-
 @pytest.mark.parametrize("start_s", [0.1, 0.2, 0.3])
 def test_a_release_that_is_not_seen(start_s: float):
     found = find_filmed_drop(filmed(0.7, start_s=start_s), 0)
-    assert found.projection.first_flight == pytest.approx(0.7, abs=0.02)
+    assert found.projection.bounce.restitution == pytest.approx(0.7, abs=0.02)
 
 
 def test_a_ball_that_was_lowered_before_it_was_let_go():
@@ -89,12 +81,12 @@ def test_a_ball_that_was_lowered_before_it_was_let_go():
     hand = np.concatenate([np.linspace(1.15, 1.0, 40), np.full(15, 1.0)])
     free = bounce_heights(0.6, 1.0, np.arange(120) / rate, GRAVITY)
     track = track_of(pixels(np.concatenate([hand, free]), 120, 0.2), rate)
-    assert find_filmed_drop(track, 0).projection.first_flight == pytest.approx(0.6, abs=0.012)
+    assert find_filmed_drop(track, 0).projection.bounce.restitution == pytest.approx(0.6, abs=0.012)
 
 
 def test_a_film_that_ends_in_the_second_flight():
     found = find_filmed_drop(filmed(0.8, seconds=1.6), 0)
-    assert found.projection.first_flight == pytest.approx(0.8, abs=0.01)
+    assert found.projection.bounce.restitution == pytest.approx(0.8, abs=0.01)
     observed = canonical_film(found).values[:, 0]
     assert np.isnan(observed[-1])
     assert np.isfinite(observed[:40]).all()
@@ -107,7 +99,7 @@ def test_gaps_and_single_outliers():
     places[rng.choice(len(places), 30, replace=False)] = np.nan
     places[[80, 150]] += [0, 12]
     found = find_filmed_drop(replace(track, places_px=places), 0)
-    assert found.projection.first_flight == pytest.approx(0.65, abs=0.01)
+    assert found.projection.bounce.restitution == pytest.approx(0.65, abs=0.01)
 
 
 def test_where_heights_are_in_the_picture_and_back():

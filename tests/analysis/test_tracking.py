@@ -126,7 +126,7 @@ def test_a_grey_ball_before_a_grey_wall_casting_a_shadow(ball: int, wall: int, r
     assert track.found.mean() > 0.97
     off = (track.places_px - np.column_stack([np.full(len(rows), 180.0), rows]))[track.found]
     assert (off - np.median(off, axis=0)).std(axis=0).max() < 0.5
-    assert find_filmed_drop(track, 0).projection.first_flight == pytest.approx(0.75, abs=0.01)
+    assert find_filmed_drop(track, 0).projection.bounce.restitution == pytest.approx(0.75, abs=0.01)
 
 
 def test_a_picture_without_the_ball_is_a_gap(episode: Episode):
