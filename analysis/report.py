@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.bounces import bounces_of
+from analysis.observe.quality import Check
 from analysis.tuning import Tuning
 from recorders.simulators.engine import engine_name
 from tunenet_logs.wording import one_line
@@ -38,9 +40,7 @@ def _as_dict(tuning: Tuning) -> dict[str, Any]:
         "bounces": _bounces(tuning),
         "cross_check": cross
         and {"method": cross.method, "value": cross.value, "agrees": cross.agrees},
-        "checks": [
-            {"name": one.name, "passed": one.passed, "detail": one.detail} for one in tuning.checks
-        ],
+        "checks": [_check(one) for one in tuning.checks],
         "warnings": list(tuning.warnings),
         "simulator": None,
         "weights": None,
@@ -89,20 +89,24 @@ def _parameters(tuning: Tuning) -> dict[str, Any] | None:
     }
 
 
+def _check(check: Check) -> dict[str, Any]:
+    result = {"name": check.name, "passed": check.passed, "detail": check.detail}
+    return {**result, "advice": check.advice} if check.advice and not check.passed else result
+
+
 def _interval(tuning: Tuning, index: int) -> list[float] | None:
     return None if tuning.interval95 is None else [float(end) for end in tuning.interval95[index]]
 
 
 def _bounces(tuning: Tuning) -> list[dict[str, Any]]:
-    if tuning.estimate is None or not tuning.physical:
-        return []
     return [
         {
-            "restitution": float(tuning.estimate[0]),
-            "interval95": _interval(tuning, 0),
-            "impact_speed": tuning.found.drop.impact_speed_m_s,
+            "restitution": one.restitution,
+            "interval95": None if one.interval95 is None else list(one.interval95),
+            "impact_speed": one.impact_speed_m_s,
             "unit": "m/s",
         }
+        for one in bounces_of(tuning)
     ]
 
 

@@ -33,6 +33,8 @@ REFINED = f"{TuneNet.name}+refine"
 METHODS = (REFINED, NETWORK)
 """What a user may ask for; the first is the default where the log and the preset allow it."""
 
+_DISAGREEMENT = "let go without spin, over a hard and level surface, and compare"
+
 
 @dataclass(frozen=True)
 class Options:
@@ -264,11 +266,17 @@ def _looked_at(trace: Trace, refined: Refined | None, problem: Problem) -> Trace
 
 
 def _judge(checks: tuple[Check, ...], cross_check: CrossCheck | None) -> tuple[Verdict, str | None]:
+    """The verdict and its reason in one line, with what to do about what is named first."""
     failed = [check for check in checks if not check.passed]
     fatal = [check for check in failed if check.fatal]
     reasons = [f"{check.name}: {check.detail}" for check in fatal or failed]
+    orders = [check.advice for check in fatal or failed]
     if cross_check is not None and not cross_check.agrees:
-        reasons.append(f"{cross_check.method} give {cross_check.value:.3f}")
+        reasons.append(f"cross-check: {cross_check.value:.3f} by {cross_check.method}")
+        orders.append(_DISAGREEMENT)
+    if not reasons:
+        return "ok", None
+    advice = f"; at the next drop: {orders[0]}" if orders[0] else ""
     if fatal:
-        return "rejected", reasons[0]
-    return ("suspect", "; ".join(reasons)) if reasons else ("ok", None)
+        return "rejected", reasons[0] + advice
+    return "suspect", "; ".join(reasons) + advice

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,6 +25,8 @@ anew for each seed, and print its figures beside the paper's.
              what a user would pick instead, and ours, by rollouts spent (table 2, figure)
   motion     where the ball will be: tuned simulators and one-step predictors (table 3)
   intervals  how often the 95 % intervals of recorded drops hold the truth; part of drop
+  video      restitution from tracks of filmed drops, good and bad ones: errors, intervals,
+             verdicts
 
 Needs the libraries of the extra 'eval': pip install 'tunenet-logs[eval]'."""
 
@@ -33,7 +35,8 @@ _EXAMPLES = """\
   tunenet-eval drop --seeds 1 --targets 20           (a few minutes)
   tunenet-eval drop --methods mean,secant,tunenet-paper-code --seeds 1
   tunenet-eval drop --json drop.json --csv drop.csv --png drop.png --rrd drop.rrd
-  tunenet-eval motion --json motion.json"""
+  tunenet-eval motion --json motion.json
+  tunenet-eval video --targets 20 --sections set-B,bad"""
 
 METHODS = (
     *("mean", "entropy-search", "cma-es", "direct", "tunenet-paper", "tunenet-paper-code"),
@@ -43,6 +46,9 @@ METHODS = (
 )
 """Those of `drop_roster`, which takes a second to load."""
 
+SECTIONS = ("set-A", "set-B", "set-C", "slope", "drag", "bad")
+"""Those of `video_cells`, which takes a second to load."""
+
 _METHODS_HELP = f"""\
 methods of the paper: {", ".join(METHODS[:6])}
 what a user would pick: {", ".join(METHODS[6:10])}
@@ -51,13 +57,15 @@ the ablation, which has no curve in the figure: {", ".join(METHODS[12:])}"""
 
 _FILES = ("json", "csv", "png", "rrd")
 _ONLY_DROP = ("methods", "png", "rrd")
+_TARGETS = {"video": 200}
+_PAPER_TARGETS = 100
 
 
 def build_parser() -> Parser:
     """The command's arguments."""
     parser = Parser("tunenet-eval", _DESCRIPTION, _EXAMPLES)
     add = parser.add_argument
-    add("experiment", choices=["drop", "motion", "intervals"], help="which experiment")
+    add("experiment", choices=["drop", "motion", "intervals", "video"], help="which experiment")
     add(
         "--seeds",
         type=whole(1, 1000),
@@ -75,9 +83,8 @@ def build_parser() -> Parser:
     add(
         "--targets",
         type=whole(1, 100_000),
-        default=100,
         metavar="N",
-        help="test targets for each seed and set (default: 100, as in the paper)",
+        help="test targets for each seed and set (default: 100, as in the paper; video: 200)",
     )
     jobs_option(parser, "processes")
     drop = parser.add_argument_group("drop only", _METHODS_HELP)
@@ -90,10 +97,12 @@ def build_parser() -> Parser:
     drop.add_argument(
         "--rrd", type=Path, metavar="FILE", help="the figure for Rerun, with the tables"
     )
+    video = parser.add_argument_group("video only", f"tables: {', '.join(SECTIONS)}")
+    video.add_argument("--sections", metavar="A,B,...", help="only these tables (default: all)")
     files = parser.add_argument_group("files (replaced if they exist)")
     files.add_argument("--json", type=Path, metavar="FILE", help="every figure, and the curves")
     files.add_argument(
-        "--csv", type=Path, metavar="FILE", help="one row for each method, budget and seed"
+        "--csv", type=Path, metavar="FILE", help="one row for each method, budget and seed, or line"
     )
     add("--quiet", action="store_true", help="no progress bar")
     for name in ("--pairs", "--epochs"):  # of training, to try things out
@@ -113,9 +122,12 @@ def _eval(arguments: argparse.Namespace) -> int:
 
     progress = Progress(quiet=arguments.quiet)
     seeds = tuple(range(arguments.first_seed, arguments.first_seed + arguments.seeds))
-    evaluate = {"drop": _drop, "motion": _motion, "intervals": _intervals}
-    text, writers = evaluate[arguments.experiment](arguments, seeds, progress)
-    print(text + "\n")
+    evaluate = {"drop": _drop, "motion": _motion, "intervals": _intervals, "video": _video}
+    if arguments.targets is None:
+        arguments.targets = _TARGETS.get(arguments.experiment, _PAPER_TARGETS)
+    blocks, writers = evaluate[arguments.experiment](arguments, seeds, progress)
+    for block in blocks:
+        print(block + "\n", flush=True)
     for name in _FILES:
         path = getattr(arguments, name)
         if path is not None:
@@ -125,11 +137,12 @@ def _eval(arguments: argparse.Namespace) -> int:
 
 
 Writers = dict[str, Callable[[Path], None]]
+"""What an experiment can write, once all of its text is printed."""
 
 
 def _drop(
     arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
-) -> tuple[str, Writers]:
+) -> tuple[Iterable[str], Writers]:
     from analysis.experiments.drop import DropOrder, run_drop
     from analysis.experiments.drop_roster import roster
     from analysis.experiments.figure import write_figure
@@ -137,11 +150,7 @@ def _drop(
     from analysis.experiments.tables import drop_tables
     from analysis.extras import needed
 
-    methods = None
-    if arguments.methods is not None:
-        methods = tuple(filter(None, (name.strip() for name in arguments.methods.split(","))))
-        if not methods:
-            raise UsageError(f"--methods names none; there is: {', '.join(METHODS)}")
+    methods = _named(arguments, "methods", METHODS)
     chosen = roster(methods)
     for name in ("png", "rrd"):
         if getattr(arguments, name) is not None and not chosen.has_curves:
@@ -156,7 +165,7 @@ def _drop(
 
         write_convergence(results, path)
 
-    return drop_tables(results), {
+    return [drop_tables(results)], {
         "json": lambda path: _write(path, drop_json(results)),
         "csv": lambda path: _write(path, drop_csv(results)),
         "png": lambda path: write_figure(results, path),
@@ -166,14 +175,14 @@ def _drop(
 
 def _motion(
     arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
-) -> tuple[str, Writers]:
+) -> tuple[Iterable[str], Writers]:
     from analysis.experiments.motion_run import run_motion
     from analysis.experiments.motion_tables import motion_lines
     from analysis.experiments.records import motion_csv, motion_json
 
     targets = arguments.targets
     rows = run_motion(seeds, targets, arguments.jobs, progress, _effort(arguments))
-    return motion_lines(rows, seeds, targets), {
+    return [motion_lines(rows, seeds, targets)], {
         "json": lambda path: _write(path, motion_json(rows, seeds, targets)),
         "csv": lambda path: _write(path, motion_csv(rows, seeds)),
     }
@@ -181,17 +190,57 @@ def _motion(
 
 def _intervals(
     arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
-) -> tuple[str, Writers]:
+) -> tuple[Iterable[str], Writers]:
     from analysis.experiments.intervals import interval_coverages
     from analysis.experiments.records import intervals_csv, intervals_json
     from analysis.experiments.tables import coverage_table
 
     targets = arguments.targets
     rows = interval_coverages(seeds, targets, arguments.jobs, progress)
-    return coverage_table(rows), {
+    return [coverage_table(rows)], {
         "json": lambda path: _write(path, intervals_json(rows, seeds, targets)),
         "csv": lambda path: _write(path, intervals_csv(rows)),
     }
+
+
+def _video(
+    arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
+) -> tuple[Iterable[str], Writers]:
+    from analysis.experiments.video import VideoOrder, VideoRow, track_sections
+    from analysis.experiments.video_cells import TRACK_SECTIONS, Section
+    from analysis.experiments.video_records import video_csv, video_json
+    from analysis.experiments.video_tables import video_blocks
+
+    wanted = _named(arguments, "sections", SECTIONS) or SECTIONS
+    for name in wanted:
+        if name not in SECTIONS:
+            raise UsageError(f"no section {name!r}; there is: {', '.join(SECTIONS)}")
+    chosen = tuple(one for one in TRACK_SECTIONS if one.name in wanted)
+    order = VideoOrder(seeds, arguments.targets, arguments.jobs)
+    rows: list[VideoRow] = []
+
+    def sections() -> Iterator[tuple[Section, tuple[VideoRow, ...]]]:
+        for section, found in track_sections(order, progress, chosen):
+            rows.extend(found)
+            yield section, found
+
+    return video_blocks(order, sections()), {
+        "json": lambda path: _write(path, video_json(rows, order)),
+        "csv": lambda path: _write(path, video_csv(rows)),
+    }
+
+
+def _named(
+    arguments: argparse.Namespace, option: str, there_is: Sequence[str]
+) -> tuple[str, ...] | None:
+    """The names that an option lists; None where it is not given."""
+    listed = getattr(arguments, option)
+    if listed is None:
+        return None
+    names = tuple(filter(None, (name.strip() for name in listed.split(","))))
+    if not names:
+        raise UsageError(f"--{option} names none; there is: {', '.join(there_is)}")
+    return names
 
 
 def _effort(arguments: argparse.Namespace) -> Effort:
@@ -206,6 +255,8 @@ def _check(arguments: argparse.Namespace) -> None:
         for name in _ONLY_DROP:
             if getattr(arguments, name) is not None:
                 raise UsageError(f"--{name} is for drop, not {arguments.experiment}; leave it out")
+    if arguments.experiment != "video" and arguments.sections is not None:
+        raise UsageError(f"--sections is for video, not {arguments.experiment}; leave it out")
 
     from analysis.files import check_writable
 

@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from analysis.cli.ball import ball_as_told, ball_options
 from analysis.cli.options import jobs_option, preset_option
 from tunenet_logs.commandline import Parser, number, run, whole
 from tunenet_logs.errors import NotFoundError, UsageError
@@ -35,6 +36,8 @@ _EXAMPLES = """\
   tunenet-tune phone.mp4
   tunenet-tune phone.mp4 --preview                 (mark the ball on a page)
   tunenet-tune phone.mp4 --roi 400,0,500,1080 --start 2.5
+  tunenet-tune phone.mp4 --ball table-tennis       (takes the air's drag into account)
+  tunenet-tune phone.mp4 --ball-diameter 0.04 --ball-mass 0.0027
   tunenet-tune mocap.mcap --topic /vrpn/ball/pose --start 3.5 --end 8
   tunenet-tune drop.mcap --iterations 10 --initial 0.5
   tunenet-tune drop.mcap --weights my-drop.safetensors"""
@@ -57,6 +60,7 @@ def build_parser() -> Parser:
     _picture_options(
         parser.add_argument_group("ball in pictures (found by its flight if not told)")
     )
+    ball_options(parser.add_argument_group("ball in pictures, where it is known"))
     preset_option(parser)
     add(
         "--method",
@@ -160,8 +164,14 @@ def _tune(arguments: argparse.Namespace) -> int:
     if arguments.preview:
         _check_preview(arguments)
     progress = Progress(quiet=arguments.quiet)
-    hints = Hints(arguments.roi, arguments.hsv, arguments.ball_at)
-    selection = Selection(arguments.topic, arguments.start, arguments.end, hints)
+    selection = Selection(
+        arguments.topic,
+        arguments.start,
+        arguments.end,
+        Hints(arguments.roi, arguments.hsv, arguments.ball_at),
+        ball_as_told(arguments),
+        arguments.fit_drag,
+    )
     options = Options(
         task=arguments.task,
         preset=arguments.preset,

@@ -74,7 +74,7 @@ def drop_json(results: DropResults) -> str:
             )
         keys = {key: value for key, value in _keys(one, 0).items() if key != "rollouts"}
         curves.append({**keys, "label": one.label, "mae": one.errors.mean(axis=1).tolist()})
-    return _json(
+    return json_text(
         {
             "experiment": "drop",
             "seeds": list(results.seeds),
@@ -89,18 +89,18 @@ def drop_json(results: DropResults) -> str:
 
 def drop_csv(results: DropResults) -> str:
     """`drop_rows` as a table; an empty field where the paper has nothing."""
-    return _csv(COLUMNS, drop_rows(results))
+    return csv_text(COLUMNS, drop_rows(results))
 
 
 def intervals_json(rows: Sequence[Coverage], seeds: Sequence[int], targets: int) -> str:
     """Every figure of the intervals; null where nothing was left to tell of."""
     head = {"experiment": "intervals", "seeds": list(seeds), "targets": targets}
-    return _json({**head, **_intervals(rows)})
+    return json_text({**head, **_intervals(rows)})
 
 
 def intervals_csv(rows: Sequence[Coverage]) -> str:
     """One row for each kind of recording; an empty field where there is no figure."""
-    return _csv(tuple(one.name for one in fields(Coverage)), [asdict(one) for one in rows])
+    return csv_text(tuple(one.name for one in fields(Coverage)), [asdict(one) for one in rows])
 
 
 def motion_rows(rows: Sequence[MotionRow], seeds: Sequence[int]) -> list[dict[str, Any]]:
@@ -125,7 +125,7 @@ def motion_json(rows: Sequence[MotionRow], seeds: Sequence[int], targets: int) -
         {"method": row.name, "label": row.label, "protocol": row.protocol, "note": row.note}
         for row in rows
     ]
-    return _json(
+    return json_text(
         {
             "experiment": "motion",
             "seeds": list(seeds),
@@ -138,7 +138,7 @@ def motion_json(rows: Sequence[MotionRow], seeds: Sequence[int], targets: int) -
 
 def motion_csv(rows: Sequence[MotionRow], seeds: Sequence[int]) -> str:
     """`motion_rows` as a table; an empty field where there is no figure."""
-    return _csv(MOTION_COLUMNS, motion_rows(rows, seeds))
+    return csv_text(MOTION_COLUMNS, motion_rows(rows, seeds))
 
 
 def _intervals(rows: Sequence[Coverage]) -> dict[str, Any]:
@@ -157,11 +157,13 @@ def _keys(one: Outcome, rollouts: int) -> dict[str, Any]:
     }
 
 
-def _json(content: dict[str, Any]) -> str:
+def json_text(content: dict[str, Any]) -> str:
+    """As all of these files are written."""
     return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def _csv(columns: tuple[str, ...], rows: list[dict[str, Any]]) -> str:
+def csv_text(columns: tuple[str, ...], rows: list[dict[str, Any]]) -> str:
+    """One line for each of `rows`."""
     text = io.StringIO()
     table = csv.DictWriter(text, columns, lineterminator="\n")
     table.writeheader()

@@ -29,12 +29,14 @@ class Check:
     Attributes:
         detail: the figure that was seen, and what was asked for.
         fatal: a failure means that no value can be reported at all.
+        advice: what to do at the next drop so that it passes, as one short order.
     """
 
     name: str
     passed: bool
     detail: str
     fatal: bool = False
+    advice: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "passed", bool(self.passed))  # NumPy's bool is no JSON
@@ -43,7 +45,8 @@ class Check:
 def log_checks(episode: Episode) -> tuple[Check, ...]:
     """What the file tells: a log whose samples may have been changed cannot be trusted."""
     detail = episode.tainted or "no sample that was read is known to be damaged"
-    return (Check("samples as they were recorded", not episode.tainted, detail),)
+    advice = "tune the log as it was before it was damaged"
+    return (Check("samples as they were recorded", not episode.tainted, detail, advice=advice),)
 
 
 def recording_checks(drop: Drop, sideways_m: Array, most_gap_falls: float = 0.0) -> list[Check]:
@@ -68,21 +71,29 @@ def recording_checks(drop: Drop, sideways_m: Array, most_gap_falls: float = 0.0)
     aside, most_aside = _pair(1000 * drift, 500 * height, 0)
     longest, too_long = _pair(gap, most_gap, 1)
     return [
-        Check("first flight seen", seen > 0.9, f"{flown} fall times (wanted: {wanted} or more)"),
+        Check(
+            "first flight seen",
+            seen > 0.9,
+            f"{flown} fall times (wanted: {wanted} or more)",
+            advice="record until the ball lies still",
+        ),
         Check(
             "stays on the table",
             below < floor,
             f"{under} mm below contact (at most {most_under})",
+            advice="drop onto the middle of a large, level surface",
         ),
         Check(
             "falls straight",
             drift < 0.5 * height,
             f"{aside} mm sideways (at most {most_aside})",
+            advice="let go without a push, over a level surface",
         ),
         Check(
             "no samples missing",
             gap < most_gap,
             f"longest gap {longest} periods (less than {too_long})",
+            advice="keep the ball in sight all the way, and the rate steady",
         ),
     ]
 
@@ -94,6 +105,7 @@ def fall_checks(drop: Drop, restitution: float) -> list[Check]:
             "gravity",
             abs(drop.gravity_m_s2 / _GRAVITY_M_S2 - 1) < 0.05,
             f"falls with {drop.gravity_m_s2:.2f} m/s² (wanted: 9.81 within 5 %)",
+            advice="record lengths in m and the true times",
         )
     ]
     if not np.isnan(drop.rest_m):
@@ -104,6 +116,7 @@ def fall_checks(drop: Drop, restitution: float) -> list[Check]:
                 "rests where it hit",
                 off < drop.rest_tolerance_m,
                 f"{apart} mm between impact and rest (at most {most_apart})",
+                advice="let it come to rest by itself, on a hard and level surface",
             )
         )
     flight_samples = 2 * restitution * drop.fall_time_s / float(np.median(np.diff(drop.seconds)))
@@ -115,14 +128,16 @@ def fall_checks(drop: Drop, restitution: float) -> list[Check]:
                 "no air drag",
                 drop.drag < most,
                 f"falls {slower} % slower than it flies (at most {most_slower})",
+                advice="drop from lower, where the air does less",
             )
         )
     elif flight_samples >= _CLEAR_FLIGHT:
         detail = (
             f"none found in the {flight_samples:.0f} samples of the first flight "
-            "(a filtered track? record unfiltered positions)"
+            "(a filtered track?)"
         )
-        checks.append(Check("flies a parabola", False, detail))
+        advice = "record unfiltered positions, and let go without spin"
+        checks.append(Check("flies a parabola", False, detail, advice=advice))
     return checks
 
 
@@ -134,6 +149,7 @@ def rebound_check(drop: Drop, restitution: float) -> Check:
         "rebound stands out",
         hop_m > _CLEAR_HOP * drop.noise_m,
         f"{high} mm high (wanted: over {least}, {_CLEAR_HOP} times the noise)",
+        advice="drop from higher, or record with less noise",
     )
 
 
@@ -145,6 +161,7 @@ def sure_check(low: float, high: float) -> Check:
         "sure enough",
         half < _SURE,
         f"95 % interval of ±{shown} (at most {most})",
+        advice="drop from higher, closer to the camera or at a higher rate",
     )
 
 
@@ -172,6 +189,7 @@ def fit_check(
         rms < most,
         f"{apart} % of the drop height apart, rms (at most {most_apart})",
         fatal=rms > reject,
+        advice="drop it again without spin, onto a hard and level surface",
     )
 
 

@@ -15,6 +15,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from analysis.observe.film import FilmedDrop
+from analysis.review.bounces import bounce_view, log_bounces
 from analysis.review.film import film_aspect, film_view, log_film, log_recorded_film
 from analysis.review.plots import height_view, log_plots, residual_view
 from analysis.review.scene import log_scene, scene_view
@@ -52,6 +53,8 @@ def write_review(tuning: Tuning, path: Path) -> None:
         log_plots(stream, story)
         log_scene(stream, story)
         log_sheets(stream, story)
+        if story.bounces:
+            log_bounces(stream, story)
         if tuning.found.film is not None:
             log_film(stream, tuning, story)
         stream.send_blueprint(_blueprint(_tuning_layout(story, tuning.found.film)))
@@ -77,22 +80,30 @@ def _log_recorded(stream: rr.RecordingStream, tuning: Tuning) -> int:
 def _tuning_layout(story: Story, film: FilmedDrop | None) -> rrb.Container:
     """Two tabs, to play and to scrub; with the video first where there is one."""
     result = rrb.TextDocumentView(origin="/result", name="result")
-    words = rrb.Vertical(result, residual_view(story), convergence_view(), row_shares=[5, 3, 3])
-    curves = rrb.Vertical(scene_view(story), height_view(story))
+    charts = _charts(story)
+    words = rrb.Vertical(result, *charts, row_shares=[5, *[2.6] * len(charts)])
+    curves = rrb.Vertical(
+        scene_view(story), height_view(story), residual_view(story), row_shares=[4, 4, 3]
+    )
     name = f"overlay (timeline {LOG_TIME})"
     if film is None:
         overlay = rrb.Horizontal(curves, words, column_shares=[3, 2], name=name)
     else:
         share = min(max(3 * film_aspect(film), 1.2), 3.5)
-        video = film_view(film, len(story.simulated) - 1)
+        video = film_view(film, story)
         overlay = rrb.Horizontal(video, curves, words, column_shares=[share, 3, 3], name=name)
     scrub = rrb.Horizontal(
         height_sheet_view(),
-        rrb.Vertical(step_view(), convergence_view()),
+        rrb.Vertical(step_view(), *_charts(story)),
         column_shares=[5, 3],
         name=f"scrub (timeline {ITERATION})",
     )
     return rrb.Tabs(overlay, scrub, active_tab=0)
+
+
+def _charts(story: Story) -> list[rrb.View]:
+    """Those that stay; made anew for each tab, because a view is shown in one place only."""
+    return [convergence_view(story), *([bounce_view(story)] if story.bounces else [])]
 
 
 def _recorded_layout(filmed: bool) -> rrb.Container:

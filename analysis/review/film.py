@@ -1,4 +1,4 @@
-"""The video, with the tracked ball, its trail, and the simulated balls projected over it."""
+"""The video, with the tracked ball, its trail, and the simulated balls over it."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from analysis.observe.film import FilmedDrop
 from analysis.observe.tracking.pictures import readable_frames
+from analysis.review.model_path import log_model_path, projected_places
 from analysis.review.sending import at_seconds, screen_radius
-from analysis.review.story import OBSERVED, Curve, Story
+from analysis.review.story import OBSERVED, Story
 from analysis.tuning import Tuning
 from tunenet_logs.episode import Frame
 from tunenet_logs.errors import LogError
@@ -26,6 +27,8 @@ _MOST_BYTES = 48 * 1024 * 1024
 _REDUCED_PX = 640
 _QUALITY = 85
 _MOST_RECORDED = 240
+_NARROW = 0.6
+"""Width over height of a view that has no room for a longer name."""
 
 
 def log_film(stream: rr.RecordingStream, tuning: Tuning, story: Story) -> None:
@@ -44,10 +47,11 @@ def log_film(stream: rr.RecordingStream, tuning: Tuning, story: Story) -> None:
     stream.log("film/trail", style, static=True)
     columns = rr.LineStrips2D.columns(strips=[[trail] for trail in trails])
     stream.send_columns("film/trail", indexes=[at_seconds(seconds)], columns=columns)
+    log_model_path(stream, film, story)
     usual = np.full(len(seconds), float(np.nanmedian(radii)))
     for k, curve in enumerate(story.simulated):
         width = 1.8 if k == len(story.simulated) - 1 else 1.0
-        where = projected_places(film, curve, story.drop_height_m)
+        where = projected_places(film, curve, story.drop_height_m, story.impacts_s)
         _log_balls(stream, f"film/k{k}", seconds, where, usual, curve.color, width)
 
 
@@ -69,12 +73,15 @@ def log_recorded_film(stream: rr.RecordingStream, tuning: Tuning) -> bool:
     return bool(frames)
 
 
-def film_view(film: FilmedDrop, iterations: int) -> rrb.View:
+def film_view(film: FilmedDrop, story: Story) -> rrb.View:
     """The video under the circles of observed and simulated balls, opened at the ball's way."""
     (left, right), (top, bottom) = _opened_at(film)
+    name = f"video: observed white, k=0 to {len(story.simulated) - 1} cold to warm"
+    if film_aspect(film) < _NARROW:
+        name = "video"
     return rrb.Spatial2DView(
         origin="/film",
-        name=f"video: observed white, k=0 to {iterations} cold to warm",
+        name=name,
         visual_bounds=rrb.VisualBounds2D(x_range=(left, right), y_range=(top, bottom)),
     )
 
@@ -94,28 +101,6 @@ def _opened_at(film: FilmedDrop) -> tuple[tuple[float, float], tuple[float, floa
     middle = np.clip((low + high) / 2, half, size - half)
     (left, top), (right, bottom) = middle - half, middle + half
     return (float(left), float(right)), (float(top), float(bottom))
-
-
-def projected_places(film: FilmedDrop, curve: Curve, drop_height_m: float) -> Array:
-    """Where the camera would see a simulated ball at the times of the observed one [px].
-
-    The projection knows the image's vertical alone; sideways the ball goes as the observed one.
-
-    Args:
-        film: the drop as it was filmed.
-        curve: heights above contact over the log's time.
-        drop_height_m: of the drop.
-
-    Returns:
-        Shape (T, 2).
-    """
-    seconds, places = film.drop.seconds, film.track.places_px[film.used]
-    sideways = np.array([film.down_px[1], -film.down_px[0]])
-    across = places @ sideways
-    drift = np.polyfit(seconds, across, 1)
-    heights = np.interp(seconds, curve.seconds, curve.heights_m) / drop_height_m
-    along = film.projection.places_px(heights)
-    return np.outer(-along, film.down_px) + np.outer(np.polyval(drift, seconds), sideways)
 
 
 def _log_balls(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
@@ -12,22 +14,29 @@ from analysis.review.story import OBSERVED, Curve, Story
 _MANY = 400
 """Samples above which dots would hide the lines."""
 
+_MM = 1000.0
+"""The unit of residuals: an axis does not show numbers as small as theirs in m."""
+
+_USUAL, _HEADROOM, _LEAST_REACH = 0.98, 1.8, 0.002
+"""Of the residuals: what the axis must show, and room around it; in drop heights, the least."""
+
 
 def log_plots(stream: rr.RecordingStream, story: Story) -> None:
     """Send the entities of `height_view` and `residual_view`."""
     for k, curve in enumerate(story.simulated):
         _log_line(stream, f"height/k{k}", curve)
-        _log_line(stream, f"residual/k{k}", curve.minus(story.observed))
+        off = curve.minus(story.observed)
+        _log_line(stream, f"residual/k{k}", replace(off, heights_m=_MM * off.heights_m))
     dense = len(story.observed.seconds) > _MANY
     size = 1.0 if dense else 2.0
     points = rr.SeriesPoints(colors=[OBSERVED], names=["observed"], marker_sizes=[size])
     stream.log("height/observed", points, static=True)
     send_scalars(stream, "height/observed", story.observed.seconds, story.observed.heights_m)
     mark = rr.SeriesPoints(
-        colors=[(255, 90, 90)], names=["first impact"], markers=["diamond"], marker_sizes=[6.0]
+        colors=[(255, 90, 90)], names=["impacts"], markers=["diamond"], marker_sizes=[6.0]
     )
     stream.log("height/impact", mark, static=True)
-    send_scalars(stream, "height/impact", np.array([story.impact_s]), np.zeros(1))
+    send_scalars(stream, "height/impact", story.impacts_s, np.zeros(len(story.impacts_s)))
 
 
 def height_view(story: Story) -> rrb.View:
@@ -42,13 +51,14 @@ def height_view(story: Story) -> rrb.View:
 
 
 def residual_view(story: Story) -> rrb.View:
-    """Simulated less observed, scaled to what matters: the first guess may run off the chart."""
-    later = [np.abs(one.minus(story.observed).heights_m).max() for one in story.simulated[1:]]
-    reach = max(1.2 * max(later, default=story.drop_height_m), 0.002 * story.drop_height_m)
+    """Simulated less observed, scaled to the result's: guesses before it run off the chart."""
+    off = np.abs(story.simulated[-1].minus(story.observed).heights_m)
+    usual = float(np.quantile(off, _USUAL)) if len(off) else 0.0
+    reach_mm = _MM * max(_HEADROOM * usual, _LEAST_REACH * story.drop_height_m)
     return rrb.TimeSeriesView(
         origin="/residual",
-        name="residual: simulated - observed [m]",
-        axis_y=rrb.ScalarAxis(range=(-float(reach), float(reach))),
+        name=f"residual: simulated - observed [mm], axis to ±{reach_mm:.2g}",
+        axis_y=rrb.ScalarAxis(range=(-reach_mm, reach_mm)),
         plot_legend=rrb.PlotLegend(visible=False),
     )
 

@@ -10,7 +10,7 @@ from analysis.review.sending import at_seconds, screen_radius
 from analysis.review.story import Story
 
 _BALL = 0.045
-_PITCH = 3.4
+_PITCH = 4.5
 """A ball's radius in drop heights, and the distance between two balls in radii."""
 
 _GROUND = (16, 18, 24)

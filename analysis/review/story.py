@@ -7,7 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.bounces import ReportedBounce, bounces_of
 from analysis.tuning import Tuning
+from recorders.simulators.bounce import Bounce
 
 Array = NDArray[np.float64]
 Color = tuple[int, int, int]
@@ -23,6 +25,10 @@ _RAMP: tuple[Color, ...] = (
     (160, 205, 60),
     (255, 165, 40),
 )
+
+
+_SOFTEST = 0.1
+"""Of the first rebound's speed: smaller hops look like rest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +67,9 @@ class Story:
         release_s: when the ball was let go, on the log's time.
         impact_s: the first impact.
         end_s: when little more is to be seen.
+        impacts_s: of the result's ball, on the log's time: those that can be told apart.
+        bounces: what is known of each impact of its own; none where nothing tells them apart.
+        interval95: of the result; None where none is honest.
     """
 
     observed: Curve
@@ -69,6 +78,9 @@ class Story:
     release_s: float
     impact_s: float
     end_s: float
+    impacts_s: Array
+    bounces: tuple[ReportedBounce, ...] = ()
+    interval95: tuple[float, float] | None = None
 
 
 def story_of(tuning: Tuning) -> Story:
@@ -98,7 +110,31 @@ def story_of(tuning: Tuning) -> Story:
         release_s=float(drop.release_s),
         impact_s=float(drop.impact_s),
         end_s=float(min(drop.seconds[-1], drop.impact_s + 5 * drop.fall_time_s)),
+        impacts_s=_impacts(tuning),
+        bounces=bounces_of(tuning) if tuning.refined and tuning.refined.rebounds else (),
+        interval95=_interval(tuning),
     )
+
+
+def _interval(tuning: Tuning) -> tuple[float, float] | None:
+    if tuning.interval95 is None:
+        return None
+    low, high = (float(end) for end in tuning.interval95[0])
+    return low, high
+
+
+def _impacts(tuning: Tuning) -> Array:
+    """Those that were found each, else those of an ideal ball; the first alone if it is not one."""
+    drop, last_s = tuning.found.drop, float(tuning.found.drop.seconds[-1])
+    found = [one.impact_s for one in tuning.refined.rebounds] if tuning.refined else []
+    if len(found) < 2 and tuning.trace is not None and tuning.physical:
+        ball = Bounce(float(tuning.trace.estimate[0]))
+        starts, speeds = ball.flights((last_s - drop.impact_s) / drop.fall_time_s)
+        hard = speeds > _SOFTEST * ball.restitution
+        hard[0] = True
+        found = list(drop.impact_s + drop.fall_time_s * starts[hard])
+    impacts = np.array(found or [drop.impact_s], dtype=np.float64)
+    return impacts[impacts <= last_s]
 
 
 def ramp(k: int, count: int) -> Color:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+
+from analysis.bounces import ReportedBounce, bounces_of
 from analysis.report import interval_words
 from analysis.tuning import Tuning
 from tunenet_logs.wording import one_line
@@ -9,11 +12,12 @@ from tunenet_logs.wording import one_line
 _SHOWN = 7
 """Iterations in the table: the last ones."""
 
+_MOST_BOUNCES = 6
 _MOST_WARNINGS = 50
 
 
 def result_words(tuning: Tuning) -> str:
-    """Verdict, iterations and checks as Markdown."""
+    """Value, verdict, what to do at the next drop, bounces, iterations and checks as Markdown."""
     lines: list[str] = []
     if tuning.estimate is not None:
         named = zip(tuning.parameters, tuning.estimate, strict=True)
@@ -23,32 +27,66 @@ def result_words(tuning: Tuning) -> str:
     lines.append(
         f"**{tuning.verdict}**" + (f": {one_line(tuning.reason)}" if tuning.reason else "")
     )
-    if tuning.trace is not None:
-        lines.append(
-            f"{tuning.method}, preset {tuning.preset}, {tuning.rollouts} rollouts"
-            + ("" if tuning.physical else "; the engine's number at 60 Hz, not the ball's own")
-        )
-        shown = list(enumerate(tuning.trace.steps))[-_SHOWN:]
-        cells = [(str(k), f"{step.values[0]:.4f}") for k, step in shown]
-        if tuning.refined is not None:
-            cells[-1] = ("refined", cells[-1][1])
-        rows = [
-            "| " + " | ".join(row) + " |" for row in zip(("k", "restitution"), *cells, strict=True)
-        ]
-        lines.append("\n".join([rows[0], "|" + " --- |" * (len(cells) + 1), rows[1]]))
+    lines += _cross_check(tuning)
+    lines += _next_drop(tuning)
+    if tuning.refined is not None and tuning.refined.rebounds:
+        lines += _bounces(bounces_of(tuning))
+    lines += _iterations(tuning)
     checks = [
-        f"| {one.name} | {'passed' if one.passed else '**failed**'} | {one.detail} |"
-        for one in tuning.checks
+        (one.name, "passed" if one.passed else "**failed**", one.detail) for one in tuning.checks
     ]
-    if tuning.cross_check is not None:
-        verdict = "agrees" if tuning.cross_check.agrees else "**disagrees**"
-        checks.append(
-            f"| cross-check | {verdict} | {tuning.cross_check.method}: "
-            f"{tuning.cross_check.value:.4f} |"
-        )
     if checks:
-        lines.append("\n".join(["| check | | seen |", "| --- | --- | --- |", *checks]))
+        lines.append(_table(("check", "", "seen"), checks))
     lines += [f"- {one_line(warning)}" for warning in tuning.warnings[:_MOST_WARNINGS]]
     if len(tuning.warnings) > _MOST_WARNINGS:
         lines.append(f"- {len(tuning.warnings) - _MOST_WARNINGS} more warnings")
     return "\n\n".join(lines)
+
+
+def _cross_check(tuning: Tuning) -> list[str]:
+    cross = tuning.cross_check
+    if cross is None or tuning.estimate is None:
+        return []
+    verdict = "agrees" if cross.agrees else "**disagrees**"
+    return [f"cross-check {verdict}: {cross.value:.4f} by {cross.method}"]
+
+
+def _next_drop(tuning: Tuning) -> list[str]:
+    """What would let each failed check pass; the reason has the first one's only."""
+    orders = [one.advice for one in tuning.checks if not one.passed and one.advice]
+    if len(orders) < 2:
+        return []
+    named = "\n".join(f"- {order}" for order in dict.fromkeys(orders))
+    return [f"at the next drop:\n\n{named}"]
+
+
+def _bounces(bounces: Sequence[ReportedBounce]) -> list[str]:
+    if not bounces:
+        return []
+    rows = []
+    for number, one in enumerate(bounces[:_MOST_BOUNCES], start=1):
+        ends = "-" if one.interval95 is None else "{:.3f} to {:.3f}".format(*one.interval95)
+        speed = "-" if one.impact_speed_m_s is None else f"{one.impact_speed_m_s:.2f} m/s"
+        rows.append((str(number), f"{one.restitution:.3f}", ends, speed))
+    table = _table(("bounce", "restitution", "95 %", "impact at"), rows)
+    left = len(bounces) - _MOST_BOUNCES
+    return [table, f"{left} more in the JSON"] if left > 0 else [table]
+
+
+def _iterations(tuning: Tuning) -> list[str]:
+    if tuning.trace is None:
+        return []
+    said = f"{tuning.method}, preset {tuning.preset}, {tuning.rollouts} rollouts"
+    if not tuning.physical:
+        said += "; the engine's number at 60 Hz, not the ball's own"
+    shown = list(enumerate(tuning.trace.steps))[-_SHOWN:]
+    cells = [(str(k), f"{step.values[0]:.4f}") for k, step in shown]
+    if tuning.refined is not None:
+        cells[-1] = ("refined", cells[-1][1])
+    names, values = zip(("k", "restitution"), *cells, strict=True)
+    return [said, _table(names, [values])]
+
+
+def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)

@@ -26,6 +26,7 @@ from analysis.refine.bounce_fit import fit_bounce
 from analysis.tasks.base import CrossCheck, Preset, Refined, Selection
 from analysis.tasks.drop_presets import PAPER_HEIGHT_M, PRESETS
 from analysis.tasks.found_drop import FoundDrop, drop_problem
+from recorders.simulators.balls import Ball
 from recorders.simulators.drop import RESTITUTION, TOPIC
 from tunenet_logs.episode import Episode, Signal
 from tunenet_logs.errors import NotFoundError
@@ -132,8 +133,12 @@ def _candidates(episode: Episode, selection: Selection) -> list[Signal]:
 
 
 def _unused_hints(episode: Episode, selection: Selection) -> tuple[str, ...]:
-    """What to say of hints that are for pictures: nobody should think that they had an effect."""
-    options = selection.hints.options
+    """What to say of options that are for pictures: nobody should think that they had an effect."""
+    options = [*selection.hints.options]
+    if selection.ball != Ball():
+        options.append("the ball's size and mass")
+    if selection.fit_drag:
+        options.append("--fit-drag")
     if not options:
         return ()
     topics = episode.picture_topics

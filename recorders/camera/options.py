@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from recorders.simulators.balls import BALLS, Ball
 from tunenet_logs.commandline import number
 from tunenet_logs.errors import UsageError
 from tunenet_logs.progress import Progress
@@ -59,7 +60,12 @@ def camera_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
             default=None,
             help="show a live camera on a page of this machine, and record from there on",
         ),
-        add("--ball", type=_name, metavar="NAME", help="which ball it is, for the log"),
+        add(
+            "--ball",
+            type=_name,
+            metavar="NAME",
+            help=f"which ball it is, for the log; with its size and mass for {', '.join(BALLS)}",
+        ),
         add(
             "--ball-diameter",
             type=number(0.001, 10, "m"),
@@ -99,9 +105,10 @@ def record_camera_as_asked(arguments: argparse.Namespace, path: Path) -> str:
         white_balance_k=arguments.white_balance,
         focus=arguments.focus,
     )
+    ball = _ball(arguments)
     rig = {
-        "ball_diameter_m": arguments.ball_diameter,
-        "ball_mass_kg": arguments.ball_mass,
+        "ball_diameter_m": ball.diameter_m,
+        "ball_mass_kg": ball.mass_kg,
         "drop_height_m": arguments.drop_height,
     }
     info = EpisodeInfo(
@@ -123,6 +130,17 @@ def record_camera_as_asked(arguments: argparse.Namespace, path: Path) -> str:
             preview=preview,
         )
     return f"{source.name}; {summary.in_words('frames')}"
+
+
+def _ball(arguments: argparse.Namespace) -> Ball:
+    """What is known of the ball; what was measured goes before the table of common balls."""
+    known = BALLS.get(arguments.ball, Ball())
+    diameter_m, mass_kg = arguments.ball_diameter, arguments.ball_mass
+    return Ball(
+        known.diameter_m if diameter_m is None else diameter_m,
+        known.mass_kg if mass_kg is None else mass_kg,
+        known.drag_coefficient,
+    )
 
 
 @contextmanager

@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from math import pi
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from math import inf, isfinite, pi
+from typing import TYPE_CHECKING
+
+from tunenet_logs.errors import UsageError
+
+if TYPE_CHECKING:
+    from tunenet_logs.episode import EpisodeInfo
 
 AIR_KG_M3 = 1.2
 """At 20 degrees Celsius and sea level."""
+
+_DENSEST_KG_M3 = 22_590.0
+"""Osmium."""
 
 
 @dataclass(frozen=True)
@@ -17,11 +27,40 @@ class Ball:
         diameter_m: None where it is not known.
         mass_kg: None likewise.
         drag_coefficient: Cd at the speeds of a drop from a table's height.
+
+    Raises:
+        UsageError: a size or mass that no ball has, or one that would float away.
     """
 
     diameter_m: float | None = None
     mass_kg: float | None = None
     drag_coefficient: float = 0.47
+
+    def __post_init__(self) -> None:
+        for what, value, unit in (
+            ("diameter", self.diameter_m, " m"),
+            ("mass", self.mass_kg, " kg"),
+            ("drag coefficient", self.drag_coefficient, ""),
+        ):
+            if value is not None and not (isfinite(value) and value > 0):
+                raise UsageError(f"a ball's {what} is over 0, not {value:g}{unit}")
+        if self.density_kg_m3 is not None and self.density_kg_m3 <= AIR_KG_M3:
+            raise UsageError(
+                f"a ball of {self.diameter_m:g} m and {self.mass_kg:g} kg is lighter than the air "
+                "in its place; give its diameter in m and its mass in kg"
+            )
+
+    @property
+    def density_kg_m3(self) -> float | None:
+        """Mass over the volume that it takes up [kg/m³]; None where mass or size is unknown."""
+        if self.diameter_m is None or self.mass_kg is None:
+            return None
+        return self.mass_kg / (pi / 6 * self.diameter_m**3)
+
+    @property
+    def is_denser_than_metal(self) -> bool:
+        """Whether no such ball can be: its mass is likely to be one in grams."""
+        return (self.density_kg_m3 or 0.0) > _DENSEST_KG_M3
 
     @property
     def drag_1_m(self) -> float | None:
@@ -32,6 +71,62 @@ class Ball:
         return AIR_KG_M3 * self.drag_coefficient * area_m2 / (2 * self.mass_kg)
 
 
-BALLS = {
+# Size and mass: the middle of what the sport's rules allow. Cd: of a smooth sphere at the Reynolds
+# numbers of a drop, 1e4 to 1e5 (Achenbach 1972), where nothing else is named.
+BALLS: Mapping[str, Ball] = {
+    # ITTF, law 2.3: 40 mm, 2.7 g.
     "table-tennis": Ball(0.040, 0.0027),
+    # ITF, rule 3: 6.54 to 6.86 cm, 56.0 to 59.4 g. Cd .51 in flight (Cross and Lindsey 2013), .6 in
+    # wind tunnels (Mehta, Alam and Subic 2008): the nap drags.
+    "tennis": Ball(0.067, 0.0577, 0.55),
+    # World Squash, appendix 7: 40.0 +- 0.5 mm, 24 +- 1 g.
+    "squash": Ball(0.040, 0.024),
+    # R&A and USGA, equipment rules: at least 42.67 mm, at most 45.93 g. Cd .5 below a Reynolds
+    # number of 4e4, where its dimples do not help yet (Bearman and Harvey 1976).
+    "golf": Ball(0.0427, 0.0459, 0.5),
+    # USA Racquetball, rule 2.2: 2 1/4 in, 1.4 oz.
+    "racquetball": Ball(0.0572, 0.0397),
+    # FIBA, size 7: 75 to 77 cm around, 580 to 620 g.
+    "basketball": Ball(0.242, 0.600),
 }
+"""Common balls by name."""
+
+
+def ball_named(name: str) -> Ball:
+    """A ball of the table.
+
+    Raises:
+        UsageError: there is none of this name; the message lists those that there are.
+    """
+    if name not in BALLS:
+        raise UsageError(f"no ball {name!r} is known; there is: {', '.join(BALLS)}")
+    return BALLS[name]
+
+
+def recorded_ball(info: EpisodeInfo) -> Ball:
+    """What a log says of its ball; what no ball can be (0, where nobody measured) is not known."""
+    known = BALLS.get(info.notes.get("ball", ""), Ball())
+    told = {
+        field: value
+        for field in ("diameter_m", "mass_kg")
+        if (value := info.rig.get(f"ball_{field}")) is not None and 0 < value < inf
+    }
+    try:
+        return replace(known, **told)
+    except UsageError:
+        return Ball()
+
+
+def completed(told: Ball, recorded: Ball) -> Ball:
+    """What a user says of a ball, and what only the log says: the user may know better."""
+    if told == Ball():
+        return recorded
+    diameter_m, mass_kg = told.diameter_m, told.mass_kg
+    try:
+        return replace(
+            told,
+            diameter_m=recorded.diameter_m if diameter_m is None else diameter_m,
+            mass_kg=recorded.mass_kg if mass_kg is None else mass_kg,
+        )
+    except UsageError:
+        return told

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -48,6 +49,16 @@ def test_a_rejected_log_has_a_reason_and_no_number(tmp_path: Path):
     assert report["parameters"] is None
     assert report["bounces"] == []
     assert "does not bounce" in report["reason"]
+
+
+def test_a_failed_check_says_what_to_do_at_the_next_drop(drop_log: Path):
+    tuning = tune_log(drop_log, Options())
+    short = replace(tuning.checks[1], passed=False)
+    tuning = replace(tuning, checks=(tuning.checks[0], short, *tuning.checks[2:]))
+    checks = json.loads(to_json(tuning))["checks"]
+    assert checks[1]["advice"] == "record until the ball lies still"
+    assert "advice" not in checks[0]
+    assert all(one.advice for one in tuning.checks)
 
 
 def test_the_table_shows_the_truth_only_where_a_log_states_one(drop_log: Path, tmp_path: Path):

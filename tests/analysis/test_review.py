@@ -12,7 +12,7 @@ from mcap.writer import Writer
 from rerun.chunk import RrdReader
 
 from analysis.review import write_review
-from analysis.review.film import projected_places
+from analysis.review.model_path import projected_places
 from analysis.review.story import story_of
 from analysis.tuning import Options, Tuning, tune_log
 from tests.conftest import BIN, record

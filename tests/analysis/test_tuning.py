@@ -177,6 +177,8 @@ def test_a_ball_that_rolls_off_the_table_is_not_ok(tmp_path: Path):
     tuning = tune_log(heights_log(tmp_path / "a.mcap", heights), Options())
     assert tuning.verdict != "ok"
     assert "table" in (tuning.reason or "")
+    assert "; at the next drop: drop onto the middle of a" in (tuning.reason or "")
+    assert "\n" not in (tuning.reason or "")
 
 
 def test_wrong_units_are_not_ok(tmp_path: Path):

@@ -30,6 +30,7 @@ from tunenet_logs.commandline import Parser
         (["--camera", "a.mp4", "--size", "big"], "'big'"),
         (["--camera", "a.mp4", "--ball-diameter", "-1"], "'-1'"),
         (["--camera", "a.mp4", "--ball-mass", "nan"], "'nan'"),
+        (["--camera", "a.mp4", "--ball", "basketball", "--ball-mass", "0.001"], "lighter than"),
         (["--camera", "a.mp4", "--stall", "0"], "'0'"),
         (["--camera", "a.mp4", "--seconds", "inf"], "'inf'"),
         (["--camera", "a.mp4", "--ball", "a\nb"], "--ball"),

@@ -138,6 +138,14 @@ def test_what_is_known_of_the_ball_goes_into_the_log(command: Command, tmp_path:
     assert episode.info.notes["ball"] == "red rubber"
 
 
+def test_a_ball_of_the_table_is_known_by_its_name(command: Command, tmp_path: Path):
+    video = write_video(tmp_path / "a.mp4", CONSTANT)
+    options = ("--ball", "table-tennis", "--ball-mass", 0.0026)
+    episode, _, _ = recorded(command, video, *options)
+    assert episode.info.rig == {"ball_diameter_m": 0.04, "ball_mass_kg": 0.0026}
+    assert episode.info.notes["ball"] == "table-tennis"
+
+
 def test_a_real_phone_clip_is_upright_and_at_its_true_rate(command: Command, tmp_path: Path):
     log = tmp_path / "a.mcap"
     clip = real("videos/red_ball_drop_120fps.mp4")

@@ -1,0 +1,62 @@
+"""What a user of `tunenet-tune` may know of the ball, as options."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import replace
+
+from recorders.simulators.balls import BALLS, Ball, ball_named
+from tunenet_logs.commandline import number
+from tunenet_logs.errors import UsageError
+
+
+def ball_options(group: argparse._ArgumentGroup) -> None:
+    """Add the options that say what was dropped."""
+    add = group.add_argument
+    add("--ball", metavar="NAME", help=f"a ball of known size and mass: {', '.join(BALLS)}")
+    add(
+        "--ball-diameter",
+        type=number(0.001, 10, "m"),
+        metavar="M",
+        help="of the ball [m]; lets the frame rate be checked, too",
+    )
+    add(
+        "--ball-mass",
+        type=number(0.0001, 1000, "kg"),
+        metavar="KG",
+        help="of the ball [kg], with its diameter: what the air does to it follows",
+    )
+    add(
+        "--fit-drag",
+        action="store_true",
+        help="find the air's drag from the bounces; for a light ball of unknown mass, with "
+        "several bounces in view",
+    )
+
+
+def ball_as_told(arguments: argparse.Namespace) -> Ball:
+    """The ball of the options; what was measured goes before the table.
+
+    Raises:
+        UsageError: no such ball, one that cannot be, or options that contradict each other.
+    """
+    ball = Ball() if arguments.ball is None else ball_named(arguments.ball)
+    diameter_m, mass_kg = arguments.ball_diameter, arguments.ball_mass
+    if diameter_m is not None:
+        ball = replace(ball, diameter_m=diameter_m, mass_kg=None if mass_kg else ball.mass_kg)
+    if mass_kg is not None:
+        if arguments.fit_drag:
+            raise UsageError("--fit-drag finds what --ball-mass would tell; leave one out")
+        if ball.diameter_m is None:
+            raise UsageError(
+                "--ball-mass says nothing without the ball's size; add --ball-diameter"
+            )
+        ball = replace(ball, mass_kg=mass_kg)
+    if ball.is_denser_than_metal:
+        print(
+            f"tunenet-tune: a ball of {ball.diameter_m:g} m and {ball.mass_kg:g} kg is denser than "
+            "any metal; --ball-mass is in kg",
+            file=sys.stderr,
+        )
+    return ball

@@ -1,0 +1,66 @@
+"""What a user of tunenet-tune knows of the ball."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from analysis.cli.ball import ball_as_told
+from analysis.cli.tune import build_parser
+from recorders.simulators.balls import BALLS, Ball
+from tests.conftest import Command
+from tunenet_logs.errors import UsageError
+
+
+def told(*words: str) -> Ball:
+    return ball_as_told(build_parser().parse_args(["a.mp4", *words]))
+
+
+def test_a_ball_by_name_by_measure_or_both():
+    assert told() == Ball()
+    assert told("--ball", "golf") == BALLS["golf"]
+    assert told("--ball-diameter", "0.05") == Ball(0.05)
+    assert told("--ball-diameter", "0.05", "--ball-mass", "0.03") == Ball(0.05, 0.03)
+    assert told("--ball", "tennis", "--ball-mass", "0.05") == Ball(0.067, 0.05, 0.55)
+    assert told("--ball", "table-tennis", "--ball-diameter", "0.038") == Ball(0.038, 0.0027)
+    both = told("--ball", "tennis", "--ball-diameter", "0.3", "--ball-mass", "0.6")
+    assert both == Ball(0.3, 0.6, 0.55)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("--ball", "cricket"), "there is: table-tennis, tennis, squash"),
+        (("--ball-mass", "0.01"), "add --ball-diameter"),
+        (("--ball", "basketball", "--ball-mass", "0.0027"), "lighter than the air"),
+        (("--ball-diameter", "0.04", "--ball-mass", "0.003", "--fit-drag"), "leave one out"),
+        (("--ball-diameter", "0"), "'0' is not a number from 0.001"),
+        (("--ball-mass", "-1"), "'-1' is not a number"),
+        (("--ball-diameter", "40mm"), "'40mm'"),
+    ],
+)
+def test_what_cannot_be_or_goes_against_itself_is_refused(words: tuple[str, ...], says: str):
+    with pytest.raises(UsageError, match=says):
+        told(*words)
+
+
+def test_a_mass_in_grams_is_noticed(capsys: pytest.CaptureFixture):
+    assert told("--ball-diameter", "0.04", "--ball-mass", "2.7") == Ball(0.04, 2.7)
+    assert "--ball-mass is in kg" in capsys.readouterr().err
+    told("--ball", "golf")
+    assert not capsys.readouterr().err
+
+
+def test_an_unknown_ball_is_one_line_and_exit_code_2(command: Command, drop_log: Path):
+    result = command("tunenet-tune", drop_log, "--ball", "cricket")
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert "basketball" in result.stderr
+    assert not drop_log.with_suffix(".json").exists()
+
+
+def test_positions_say_that_the_ball_was_not_used(command: Command, drop_log: Path):
+    result = command("tunenet-tune", drop_log, "--ball", "golf", "--fit-drag")
+    assert result.returncode == 0
+    assert "size and mass, --fit-drag not used: the log holds the ball's position" in result.stderr
