@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.observe import drop as views
-from analysis.observe.film import canonical_film, find_filmed_drop
+from analysis.observe.film import FilmedDrop, canonical_film, find_filmed_drop
 from analysis.observe.tracking.projected import projected_track
 from analysis.tasks.base import Preset
 from analysis.tasks.drop_presets import (
@@ -42,17 +42,23 @@ _FOV_DEG = (30.0, 75.0)
 _NOISE_PX = (0.03, 0.6)
 _LOST_SHARE = 0.1
 _SIMULATED = 1024
-_FILMED = 1536
+_FILMED = 768
 _PAIRS = 51_200
 
 
 @dataclass(frozen=True)
 class FilmPlan:
-    """A drop to simulate and look at: as the simulator knows it (no seed), or filmed."""
+    """A drop to simulate and look at: as the simulator knows it (no seed), or filmed.
+
+    Attributes:
+        seed: draws the camera, the track's noise and the pictures that are lost.
+        noise_px: of the track, in place of the drawn one.
+    """
 
     rig: DropRig
     restitution: float
     seed: int | None = None
+    noise_px: float | None = None
 
 
 def _observe_plans(plans: Sequence[FilmPlan]) -> Array:
@@ -61,21 +67,30 @@ def _observe_plans(plans: Sequence[FilmPlan]) -> Array:
     simulator = DropSimulator(plans[0].rig, CALIBRATED)
     for plan in plans:
         simulator = simulator.with_rig(plan.rig)
-        episode = simulator.rollout({RESTITUTION.name: plan.restitution})
         if plan.seed is None:
+            episode = simulator.rollout({RESTITUTION.name: plan.restitution})
             curves.append(views.canonical(views.rollout_drop(episode, plan.rig, CALIBRATED)).values)
             continue
-        rng = np.random.default_rng(plan.seed)
-        size, fov = _SIZES_PX[rng.integers(len(_SIZES_PX))], float(rng.uniform(*_FOV_DEG))
-        camera = random_camera(rng, plan.rig.gap_m, plan.rig.radius_m, size, max(fov, 50.0))
-        noise_px = float(np.exp(rng.uniform(*np.log(_NOISE_PX))))
-        track = projected_track(episode, camera, noise_px, rng.random() * _LOST_SHARE, rng)
-        try:
-            film = find_filmed_drop(track, plan.rig.start_ns)
-            curves.append(canonical_film(film).values)
-        except NotFoundError:
-            curves.append(np.full((len(views.canonical_axis()), 1), np.nan))
+        film = film_of(plan, simulator)
+        lost = np.full((len(views.canonical_axis()), 1), np.nan)
+        curves.append(lost if film is None else canonical_film(film).values)
     return np.array(curves)
+
+
+def film_of(plan: FilmPlan, simulator: DropSimulator) -> FilmedDrop | None:
+    """The film of a plan with a seed; None where no drop is found in it."""
+    rng = np.random.default_rng(plan.seed)
+    size, fov = _SIZES_PX[rng.integers(len(_SIZES_PX))], float(rng.uniform(*_FOV_DEG))
+    camera = random_camera(rng, plan.rig.gap_m, plan.rig.radius_m, size, max(fov, 50.0))
+    noise_px = float(np.exp(rng.uniform(*np.log(_NOISE_PX))))
+    if plan.noise_px is not None:
+        noise_px = plan.noise_px
+    episode = simulator.with_rig(plan.rig).rollout({RESTITUTION.name: plan.restitution})
+    track = projected_track(episode, camera, noise_px, rng.random() * _LOST_SHARE, rng)
+    try:
+        return find_filmed_drop(track, plan.rig.start_ns)
+    except NotFoundError:
+        return None
 
 
 def _canonical_pairs(count: int | None, seed: int, jobs: int | None, progress: Progress) -> PairSet:
@@ -87,7 +102,7 @@ def _canonical_pairs(count: int | None, seed: int, jobs: int | None, progress: P
         low, high = RESTITUTION.training_range
         for index in range(rows):
             value = low + (high - low) * (index + rng.random()) / rows
-            rig = _rig(rng)
+            rig = any_rig(rng)
             plans.append(FilmPlan(rig, float(value), int(rng.integers(2**62)) if filmed else None))
     order = rng.permutation(len(plans))  # filmed ones take longer: spread them over the processes
     observations = np.empty((len(plans), len(views.canonical_axis()), 1))
@@ -101,7 +116,8 @@ def _canonical_pairs(count: int | None, seed: int, jobs: int | None, progress: P
     )
 
 
-def _rig(rng: np.random.Generator) -> DropRig:
+def any_rig(rng: np.random.Generator) -> DropRig:
+    """Of any height and rate, held or not, seen for four to eight fall times."""
     gap, rate = float(rng.uniform(*_GAP_M)), float(rng.choice(_RATES_HZ))
     fall_s = float(np.sqrt(2 * gap / CALIBRATED.gravity_m_s2))
     hold_s = float(rng.uniform(0.0, 0.5))
