@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +21,11 @@ from analysis.tasks.drop_presets import (
 from analysis.tunenet.checkpoint import Purpose
 from analysis.tunenet.network import AntisymmetricNetwork, PaperNetwork
 from analysis.tunenet.pairs import PairSet, consecutive_pairs, cross_pairs, observe_all
+from recorders.simulators.bounce import Bounce
 from recorders.simulators.contact import CALIBRATED, PAPER
 from recorders.simulators.drop import RESTITUTION, TOPIC, DropRig, DropSimulator
 from recorders.simulators.pinhole import PinholeCamera, random_camera
+from tunenet_logs.episode import Episode
 from tunenet_logs.errors import NotFoundError
 from tunenet_logs.progress import Progress
 
@@ -41,6 +43,7 @@ _SIZES_PX = ((320, 240), (640, 480), (240, 320))
 _FOV_DEG = (30.0, 75.0)
 _NOISE_PX = (0.03, 0.6)
 _LOST_SHARE = 0.1
+_STEEPEST = 0.2
 _SIMULATED = 1024
 _FILMED = 768
 _PAIRS = 51_200
@@ -53,12 +56,14 @@ class FilmPlan:
     Attributes:
         seed: draws the camera, the track's noise and the pictures that are lost.
         noise_px: of the track, in place of the drawn one.
+        slope: how the filmed ball's restitution falls with speed; see `Bounce`.
     """
 
     rig: DropRig
     restitution: float
     seed: int | None = None
     noise_px: float | None = None
+    slope: float = 0.0
 
 
 def _observe_plans(plans: Sequence[FilmPlan]) -> Array:
@@ -86,6 +91,8 @@ def film_of(plan: FilmPlan, simulator: DropSimulator) -> FilmedDrop | None:
     if plan.noise_px is not None:
         noise_px = plan.noise_px
     episode = simulator.with_rig(plan.rig).rollout({RESTITUTION.name: plan.restitution})
+    if plan.slope:
+        episode = _real_ball(episode, plan)
     track = projected_track(episode, camera, noise_px, rng.random() * _LOST_SHARE, rng)
     try:
         return find_filmed_drop(track, plan.rig.start_ns)
@@ -93,8 +100,21 @@ def film_of(plan: FilmPlan, simulator: DropSimulator) -> FilmedDrop | None:
         return None
 
 
+def _real_ball(episode: Episode, plan: FilmPlan) -> Episode:
+    """The same drop of a ball whose restitution falls with speed, in closed form."""
+    signal, rig = episode.signals[TOPIC], plan.rig
+    drop = views.rollout_drop(episode, rig, CALIBRATED)
+    places = (drop.seconds - drop.impact_s) / drop.fall_time_s
+    heights_m = drop.contact_m + rig.gap_m * Bounce(plan.restitution, plan.slope).heights(places)
+    positions_m = np.column_stack([signal.values[:, :2], heights_m])
+    return replace(episode, signals={TOPIC: replace(signal, values=positions_m)})
+
+
 def _canonical_pairs(count: int | None, seed: int, jobs: int | None, progress: Progress) -> PairSet:
-    """Simulated curves against filmed ones; restitutions evenly over their range in both."""
+    """Simulated curves against filmed ones; restitutions evenly over their range in both.
+
+    Half of the filmed balls are real ones: what is to be found is their first impact's restitution.
+    """
     count = count or _PAIRS
     rng = np.random.default_rng([seed, 1])
     plans: list[FilmPlan] = []
@@ -102,8 +122,11 @@ def _canonical_pairs(count: int | None, seed: int, jobs: int | None, progress: P
         low, high = RESTITUTION.training_range
         for index in range(rows):
             value = low + (high - low) * (index + rng.random()) / rows
-            rig = any_rig(rng)
-            plans.append(FilmPlan(rig, float(value), int(rng.integers(2**62)) if filmed else None))
+            plan = FilmPlan(any_rig(rng), float(value))
+            if filmed:
+                slope = max(0.0, float(rng.uniform(-_STEEPEST, _STEEPEST)))  # half have none
+                plan = replace(plan, seed=int(rng.integers(2**62)), slope=slope)
+            plans.append(plan)
     order = rng.permutation(len(plans))  # filmed ones take longer: spread them over the processes
     observations = np.empty((len(plans), len(views.canonical_axis()), 1))
     observations[order] = observe_all(_observe_plans, [plans[one] for one in order], jobs, progress)
