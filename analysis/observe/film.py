@@ -6,6 +6,7 @@ one for the heights to be true; the restitution does not depend on it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,11 +17,13 @@ from analysis.observe.bounce_bank import bank_starts
 from analysis.observe.drop import canonical_axis, paper_axis
 from analysis.observe.film_fit import (
     DRAG,
+    DRAGGED,
     FALL,
     IDEAL,
     IMPACT,
     RESTITUTION,
     SLOPE,
+    SLOPED,
     SPAN,
     FilmFit,
     Samples,
@@ -35,20 +38,21 @@ from recorders.simulators.contact import CALIBRATED
 from tunenet_logs.errors import NotFoundError
 
 Array = NDArray[np.float64]
+Balls = Sequence[tuple[int, ...]]
 
 _LEAST_SPAN_PX = 15.0
 _MOST_IMPACTS = 6
 _MOST_CANDIDATES = 6
 _FALL_SHARES = (0.96, 0.8, 0.6)
 _STARTS = 6
-_ROUGHLY = (8, 1e-4)
-_FEWEST = 4
+_ROUGHLY = (10, 1e-4)
+_FEWEST, _FEWEST_SAMPLES = 4, 12
 _MARGIN_S = 0.5
 _REST_SEEN = 1.0
 _WHOLE_PX_NOISE, _LEAST_NOISE_PX = 0.45, 0.1
 """Rounding to whole pixels is no noise: a ball that lies still is always rounded the same way."""
 
-_USUAL_SLOPE = 0.08
+_USUAL = {SLOPE: 0.08, DRAG: 0.05}
 _ENDLESS = 0.995
 """A restitution that no ball has."""
 
@@ -60,10 +64,10 @@ class FilmedDrop:
     Attributes:
         track: the ball in every picture.
         down_px: unit vector of the image's vertical, shape (2,).
-        ideal: fit of a ball that keeps its restitution.
-        real: fit of one whose restitution falls with speed, or that the air slows if that was asked
-            for, to the same samples.
-        projection: where its heights are in the picture, by the better fit; on the log's time.
+        fits: to the same samples: of a ball that keeps its restitution, of one whose restitution
+            falls with speed, and of one that the air slows; the latter unless the air is known, and
+            not the one before if the drag is asked for.
+        projection: where its heights are in the picture, by the best fit; on the log's time.
         used: which pictures the drop is made of, shape (T,) of the track.
         sideways: distance from the image's vertical [drop heights], one for each used picture.
         drop: its heights by the projection, contact at 0.
@@ -71,17 +75,16 @@ class FilmedDrop:
 
     track: Track
     down_px: Array
-    ideal: FilmFit
-    real: FilmFit
+    fits: tuple[FilmFit, ...]
     projection: Projection
     used: NDArray[np.bool_]
     sideways: Array
     drop: Drop
 
     @property
-    def better(self) -> FilmFit:
-        """Of the two fits."""
-        return _better(self.ideal, self.real)
+    def best(self) -> FilmFit:
+        """Of the fits."""
+        return best_of(self.fits)
 
 
 def find_filmed_drop(
@@ -108,19 +111,19 @@ def find_filmed_drop(
     drag_1_m = (ball.drag_1_m if ball and not fit_drag else None) or 0.0
     noise_px = max(noise_of(along), _least_noise(track.places_px[known]))
     whole = Samples(seconds, along, noise_px, drag_1_m * CALIBRATED.gravity_m_s2 / 2)
-    ideal, real = _best_fits(whole, (*IDEAL, DRAG if fit_drag else SLOPE))
-    better = _better(ideal, real)
-    projection = better.projection()
-    begin = int(np.searchsorted(seconds, better.samples.seconds[0] - _MARGIN_S))
-    last = int(np.searchsorted(seconds, better.samples.seconds[-1], side="right"))
+    balls = (DRAGGED,) if fit_drag else (SLOPED,) if drag_1_m else (SLOPED, DRAGGED)
+    fits = _best_fits(whole, balls)
+    best = best_of(fits)
+    projection = best.projection()
+    begin = int(np.searchsorted(seconds, best.samples.seconds[0] - _MARGIN_S))
+    last = int(np.searchsorted(seconds, best.samples.seconds[-1], side="right"))
     used = np.zeros(len(track.stamps_ns), dtype=bool)
     used[known[begin:last]] = True
     across = track.places_px[used] @ np.array([down[1], -down[0]])
     return FilmedDrop(
         track=track,
         down_px=down,
-        ideal=ideal,
-        real=real,
+        fits=fits,
         projection=projection,
         used=used,
         sideways=(across - np.median(across)) / projection.span_px,
@@ -161,12 +164,13 @@ def image_rows(film: FilmedDrop, start_s: float) -> Observation:
     return Observation(values[:, None], paper_axis(), "time [s]", ("y [picture heights]",))
 
 
-def _better(*fits: FilmFit) -> FilmFit:
+def best_of(fits: Sequence[FilmFit]) -> FilmFit:
+    """The likeliest of fits to the same samples."""
     scale = min(fit.scale_px for fit in fits)
     return min(fits, key=lambda fit: fit.cost(scale))
 
 
-def _best_fits(whole: Samples, real_free: tuple[int, ...]) -> tuple[FilmFit, FilmFit]:
+def _best_fits(whole: Samples, balls: Balls) -> tuple[FilmFit, ...]:
     """The fits from the first impact that may be the first one.
 
     Raises:
@@ -174,26 +178,24 @@ def _best_fits(whole: Samples, real_free: tuple[int, ...]) -> tuple[FilmFit, Fil
     """
     impacts = film_impacts(whole.seconds, whole.places_px, whole.noise_px)
     span = float(np.ptp(whole.places_px))
-    fits: list[tuple[FilmFit, FilmFit]] = []
+    found: list[tuple[FilmFit, ...]] = []
     for index in impacts[:_MOST_CANDIDATES]:
-        pair = _fits_from(whole, index, real_free)
-        if pair is None:
+        fits = _fits_from(whole, index, balls)
+        if not fits:
             continue
-        fits.append(pair)
-        if _good(pair) and _plausible(pair[1], span):
+        found.append(fits)
+        if _good(fits) and _plausible(best_of(fits), span):
             break
-    plausible = [pair for pair in fits if _plausible(pair[1], span)]
+    plausible = [fits for fits in found if _plausible(best_of(fits), span)]
     if not plausible:
-        raise NotFoundError(_why_not(len(impacts), bool(fits)))
-    return min(plausible, key=lambda pair: _misfit(pair) if not _good(pair) else 0.0)
+        raise NotFoundError(_why_not(len(impacts), bool(found)))
+    return min(plausible, key=lambda fits: _misfit(fits) if not _good(fits) else 0.0)
 
 
-def _fits_from(
-    whole: Samples, index: int, real_free: tuple[int, ...]
-) -> tuple[FilmFit, FilmFit] | None:
-    """The fits if the ball first hits near sample `index`; None where no fall is seen before."""
+def _fits_from(whole: Samples, index: int, balls: Balls) -> tuple[FilmFit, ...]:
+    """The fits if the ball first hits near sample `index`; none where no fall is seen before."""
     last = bounces_end(whole.seconds, whole.places_px, index)
-    best: tuple[FilmFit, FilmFit] | None = None
+    best: tuple[FilmFit, ...] = ()
     for share in _FALL_SHARES:
         first = fall_start(whole.places_px, index, share, whole.noise_px)
         if index - first < _FEWEST or last - index < _FEWEST:
@@ -201,10 +203,10 @@ def _fits_from(
         rough = _rough_fits(_part(whole, first, last), float(whole.seconds[index]))
         if not rough:
             continue
-        pair = _finished(whole, rough, real_free)
-        if best is None or _misfit(pair) < 0.7 * _misfit(best):
-            best = pair
-        if _good(pair):
+        fits = _finished(whole, rough, balls)
+        if not best or _misfit(fits) < 0.7 * _misfit(best):
+            best = fits
+        if _good(fits):
             break
     return best
 
@@ -217,36 +219,37 @@ def _rough_fits(samples: Samples, impact_s: float) -> list[FilmFit]:
     return sorted(fits, key=lambda fit: fit.cost(scale))
 
 
-def _finished(
-    whole: Samples, rough: list[FilmFit], real_free: tuple[int, ...]
-) -> tuple[FilmFit, FilmFit]:
-    """Both balls, fitted to the bounces that count and to the ball before it was let go."""
-    real = _best_real(rough[0].samples, [fit.unknowns for fit in rough[:3]], real_free)
+def _finished(whole: Samples, rough: list[FilmFit], balls: Balls) -> tuple[FilmFit, ...]:
+    """All balls, fitted to the bounces that count and to the ball before it was let go."""
+    starts = [fit.unknowns for fit in rough[:3]]
+    real = best_of([_from_any(rough[0].samples, starts, ball, *_ROUGHLY) for ball in balls])
     samples = _counting(whole, real)
-    real = _best_real(samples, [real.unknowns], real_free)
+    real = _from_any(samples, [real.unknowns], real.free)
     samples = _with_held(whole, real)
     if samples is not real.samples:
-        held = fit_film(samples, real.unknowns, real_free)
+        held = fit_film(samples, real.unknowns, real.free)
         if held.nearly_worst_px < 1.5 * max(real.nearly_worst_px, whole.noise_px):
             real = held
-    starts = [real.unknowns, rough[0].unknowns]
-    ideals = []
-    for start in starts:
-        begin = start.copy()
-        begin[list(set(real_free) - set(IDEAL))] = 0.0
-        ideals.append(fit_film(real.samples, begin, IDEAL))
-    ideal = _better(*ideals)
-    return ideal, _better(real, fit_film(real.samples, ideal.unknowns, real_free))
+    ideal = _from_any(real.samples, [real.unknowns, rough[0].unknowns], IDEAL)
+    starts = [real.unknowns, ideal.unknowns]
+    return (ideal, *(_from_any(real.samples, starts, ball) for ball in balls))
 
 
-def _best_real(samples: Samples, starts: list[Array], free: tuple[int, ...]) -> FilmFit:
+def _from_any(
+    samples: Samples,
+    starts: Sequence[Array],
+    free: tuple[int, ...],
+    most: int = 30,
+    gain: float = 1e-6,
+) -> FilmFit:
+    """The best fit from any of the starts, with a usual slope or drag where they have none."""
     fits = []
     for start in starts:
         begin = start.copy()
-        if begin[SLOPE] == 0 and SLOPE in free:
-            begin[SLOPE] = _USUAL_SLOPE
-        fits.append(fit_film(samples, begin, free))
-    return _better(*fits)
+        for one, usual in _USUAL.items():
+            begin[one] = (begin[one] or usual) if one in free else 0.0
+        fits.append(fit_film(samples, begin, free, most, gain))
+    return best_of(fits)
 
 
 def _counting(whole: Samples, fit: FilmFit) -> Samples:
@@ -261,7 +264,8 @@ def _counting(whole: Samples, fit: FilmFit) -> Samples:
         end = float(starts[-1]) if speeds[-1] == 0 else np.inf
     first = int(np.searchsorted(whole.seconds, seconds[0]))
     end_s = min(impact_s + fall_s * (end + _REST_SEEN), float(seconds[-1]))
-    return _part(whole, first, int(np.searchsorted(whole.seconds, end_s, side="right")))
+    last_at = int(np.searchsorted(whole.seconds, end_s, side="right"))
+    return _part(whole, first, last_at) if last_at - first > _FEWEST_SAMPLES else fit.samples
 
 
 def _with_held(whole: Samples, fit: FilmFit) -> Samples:
@@ -287,15 +291,16 @@ def _least_noise(places_px: Array) -> float:
     return _WHOLE_PX_NOISE if rounded else _LEAST_NOISE_PX
 
 
-def _misfit(pair: tuple[FilmFit, FilmFit]) -> float:
-    """What the better ball leaves, as a share of the fall."""
-    return min(fit.nearly_worst_px / float(fit.unknowns[SPAN]) for fit in pair)
+def _misfit(fits: Sequence[FilmFit]) -> float:
+    """What the best ball leaves, as a share of the fall."""
+    return min(fit.nearly_worst_px / float(fit.unknowns[SPAN]) for fit in fits)
 
 
-def _good(pair: tuple[FilmFit, FilmFit]) -> bool:
+def _good(fits: Sequence[FilmFit]) -> bool:
     """Whether what is left is noise, or little."""
-    real = pair[1]
-    return _misfit(pair) < 1.5 * real.samples.noise_px / float(real.unknowns[SPAN]) + 0.004
+    best = best_of(fits)
+    noise = best.samples.noise_px / float(best.unknowns[SPAN])
+    return _misfit(fits) < 1.5 * noise + 0.004
 
 
 def _plausible(fit: FilmFit, span_px: float) -> bool:

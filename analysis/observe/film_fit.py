@@ -20,15 +20,21 @@ RESTITUTION, IMPACT, FALL, CONTACT, SPAN, PERSPECTIVE, SLOPE, DRAG = range(8)
 """Places of the unknowns: e, t1 [s], log T0, A [px], B [px], k, p, drag times drop height."""
 
 IDEAL = (RESTITUTION, IMPACT, FALL, CONTACT, SPAN, PERSPECTIVE)
-"""What is fitted of a ball that keeps its restitution."""
+SLOPED = (*IDEAL, SLOPE)
+DRAGGED = (*IDEAL, DRAG)
+"""What is fitted of a ball that keeps its restitution, that does not, that the air slows."""
 
 PRIORS_SD = {PERSPECTIVE: 0.7, SLOPE: 0.1, DRAG: 0.2}
 """Of k, from the camera poses that people use; of p and of the drag, from the balls."""
 
-_FREEDOM = 4.0
+_FREEDOM = 8.0
 _LOW = np.array([0.005, -np.inf, -np.inf, -np.inf, 1.0, -2.5, -0.5, 0.0])
 _HIGH = np.array([1.0, np.inf, np.inf, np.inf, np.inf, 2.5, 0.5, 2.0])
-_STEPS = np.array([1e-6, 1e-6, 1e-6, 1e-4, 1e-4, 1e-5, 1e-5, 1e-5])
+_OF_THE_BALL = (RESTITUTION, SLOPE, DRAG)
+_SHORT = 1e-5
+_FARTHEST = 1.5
+"""How far from its start a fall time or an impact may go: a factor e^1.5, 1.5 fall times."""
+
 _LEAST_DAMPING, _MOST_TRIES = 1e-9, 6
 
 
@@ -57,19 +63,37 @@ class Samples:
 
     def left_px(self, unknowns: Array) -> Array:
         """What the ball and the camera of these unknowns leave, shape (T,)."""
-        times = (self.seconds - unknowns[IMPACT]) / np.exp(unknowns[FALL])
-        shape = projected(self.bounce(unknowns).heights(times), float(unknowns[PERSPECTIVE]))
+        heights = self.bounce(unknowns).heights(self.times(unknowns))
+        shape = projected(heights, float(unknowns[PERSPECTIVE]))
         return unknowns[CONTACT] + unknowns[SPAN] * shape - self.places_px
 
     def slopes(self, unknowns: Array, free: tuple[int, ...]) -> Array:
         """How what is left changes with each of the free unknowns, shape (T, len(free))."""
-        columns = []
+        times = self.times(unknowns)
+        heights = self.bounce(unknowns).heights(times)
+        grow = float(np.exp(unknowns[PERSPECTIVE]))
+        depth = np.maximum(1 + (grow - 1) * heights, 1e-3)
+        px_per_height = unknowns[SPAN] * grow / depth**2
+        columns = {
+            CONTACT: np.ones(len(times)),
+            SPAN: grow * heights / depth,
+            PERSPECTIVE: px_per_height * heights * (1 - heights),
+        }
         for one in free:
-            ends = np.array([unknowns, unknowns])
-            ends[:, one] += np.array([-_STEPS[one], _STEPS[one]])
-            low, high = np.clip(ends, _LOW, _HIGH)
-            columns.append((self.left_px(high) - self.left_px(low)) / (high[one] - low[one]))
-        return np.column_stack(columns)
+            if one in _OF_THE_BALL:
+                moved = unknowns.copy()
+                moved[one] += _SHORT if unknowns[one] < _HIGH[one] - _SHORT else -_SHORT
+                rise = self.bounce(moved).heights(times) - heights
+                columns[one] = px_per_height * rise / (moved[one] - unknowns[one])
+        if IMPACT in free or FALL in free:
+            speeds = (self.bounce(unknowns).heights(times + _SHORT) - heights) / _SHORT
+            columns[IMPACT] = -px_per_height * speeds / np.exp(unknowns[FALL])
+            columns[FALL] = -px_per_height * speeds * times
+        return np.column_stack([columns[one] for one in free])
+
+    def times(self, unknowns: Array) -> Array:
+        """Of the samples [fall times after the first impact]."""
+        return (self.seconds - unknowns[IMPACT]) / np.exp(unknowns[FALL])
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +145,7 @@ def fit_film(
     gain: float = 1e-6,
     scale_px: float | None = None,
 ) -> FilmFit:
-    """Robust least squares (Student's t of 4) by Levenberg and Marquardt's steps.
+    """Robust least squares (Student's t of 8) by Levenberg and Marquardt's steps.
 
     Args:
         samples: what to explain.
@@ -131,7 +155,8 @@ def fit_film(
         gain: in cost that ends them.
         scale_px: standard deviation of a place; None to find it as well.
     """
-    unknowns = np.clip(start, _LOW, _HIGH)
+    low, high = _bounds(start)
+    unknowns = np.clip(start, low, high)
     left = samples.left_px(unknowns)
     scale = scale_px or _scale(left, samples.noise_px)
     cost = _cost(left, unknowns, scale, free)
@@ -143,7 +168,7 @@ def fit_film(
             tried = unknowns.copy()
             held = normal + damping * np.diag(np.diag(normal) + 1e-12)
             tried[list(free)] += np.linalg.lstsq(held, pull, rcond=None)[0]
-            tried = np.clip(tried, _LOW, _HIGH)
+            tried = np.clip(tried, low, high)
             tried_left = samples.left_px(tried)
             tried_cost = _cost(tried_left, tried, scale, free)
             if tried_cost < cost:
@@ -158,6 +183,14 @@ def fit_film(
         if settled:
             break
     return FilmFit(samples, unknowns, free, left, scale)
+
+
+def _bounds(start: Array) -> tuple[Array, Array]:
+    low, high = _LOW.copy(), _HIGH.copy()
+    reach = {FALL: _FARTHEST, IMPACT: _FARTHEST * float(np.exp(start[FALL]))}
+    for one, far in reach.items():
+        low[one], high[one] = start[one] - far, start[one] + far
+    return low, high
 
 
 def _normal(

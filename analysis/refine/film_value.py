@@ -1,8 +1,9 @@
 """What a filmed drop says of the restitution: its value and 95 % interval.
 
-Two balls were fitted to the track: one that keeps its restitution, and one whose restitution falls
-with speed. As in `bounce_fit` the answer is the average of both, by how well each explains the
-samples. How sure each is of its value is by profile likelihood: all else is fitted anew at each.
+Several balls were fitted to the track: one that keeps its restitution, one whose restitution falls
+with speed, one that the air slows. As in `bounce_fit` the answer is their average, by how well each
+explains the samples. How sure each is of its value is by profile likelihood: all else is fitted
+anew at each value.
 """
 
 from __future__ import annotations
@@ -12,12 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.observe.film import FilmedDrop
+from analysis.observe.film import FilmedDrop, best_of
 from analysis.observe.film_fit import (
+    DRAGGED,
     IDEAL,
     PRIORS_SD,
     RESTITUTION,
-    SLOPE,
+    SLOPED,
     FilmFit,
     fit_film,
 )
@@ -26,74 +28,76 @@ from analysis.refine.rebounds import Rebound, rebounds
 
 Array = NDArray[np.float64]
 
-_REAL = 0.5
-"""Prior of a ball that is not ideal."""
+_PRIORS = {IDEAL: 0.7, SLOPED: 0.2, DRAGGED: 0.1}
+"""Of the balls, before the track is looked at."""
 
-_RISE = 0.85 * TWO_SIDED**2 / 2
+_RISE = 0.93 * TWO_SIDED**2 / 2
 """How much less likely the ends are: a t distribution is flatter than the noise of a track."""
 
 _LEAST_SD = 2e-4
 _MOST_LOG_ODDS = 50.0
+_LEAST_WEIGHT = 1e-3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FilmValue:
     """The restitution at the first impact.
 
     Attributes:
-        restitution: the average of both balls'.
+        restitution: the average of all balls'.
         interval95: of it.
-        real: probability of the ball that is not ideal.
-        slope: p of that ball.
-        slope_sd: its standard error.
+        likeliest: the fit that counts most.
+        weight: of that one.
     """
 
     restitution: float
     interval95: tuple[float, float]
-    real: float
-    slope: float
-    slope_sd: float
+    likeliest: FilmFit
+    weight: float
 
 
 def film_value(film: FilmedDrop, initial: float) -> FilmValue:
-    """Average the two balls; the network's `initial` is one more start of the ideal one."""
-    real = film.real
-    begin = film.ideal.unknowns.copy()
+    """Average the balls; the network's `initial` is one more start of the ideal one."""
+    ideal, *others = film.fits
+    begin = ideal.unknowns.copy()
     begin[RESTITUTION] = initial
-    again = fit_film(film.ideal.samples, begin, IDEAL)
-    scale = min(film.ideal.scale_px, real.scale_px, again.scale_px)
-    ideal = min(film.ideal, again, key=lambda fit: fit.cost(scale))
-    better = min(ideal, real, key=lambda fit: fit.cost(scale))
-    worth = correlation_time(better.left_px, len(better.free))
-    spreads = [_covariance(fit, scale * np.sqrt(worth)) for fit in (ideal, real)]
-    log_odds = _log_density(real, scale, worth) - _log_density(ideal, scale, worth)
-    log_odds += 0.5 * (_log_volume(spreads[1]) - _log_volume(spreads[0]))
-    extra = real.free[-1]
-    log_odds -= np.log(PRIORS_SD[extra])
-    odds = _REAL / (1 - _REAL) * np.exp(np.clip(log_odds, -_MOST_LOG_ODDS, _MOST_LOG_ODDS))
-    weights = (1 / (1 + odds), odds / (1 + odds))
+    fits = (best_of([ideal, fit_film(ideal.samples, begin, IDEAL)]), *others)
+    best = best_of(fits)
+    scale = min(fit.scale_px for fit in fits)
+    worth = correlation_time(best.left_px, len(best.free))
+    spreads = [_covariance(fit, scale * np.sqrt(worth)) for fit in fits]
+    log_evidence = np.array(
+        [
+            _log_evidence(fit, spread, scale, worth)
+            for fit, spread in zip(fits, spreads, strict=True)
+        ]
+    )
+    evidence = np.exp(np.maximum(log_evidence - log_evidence.max(), -_MOST_LOG_ODDS))
+    weights = evidence / evidence.sum()
     opinions = [
         Opinion(float(fit.unknowns[RESTITUTION]), _sds(fit, spread, scale, worth), float(weight))
-        for fit, spread, weight in zip((ideal, real), spreads, weights, strict=True)
+        for fit, spread, weight in zip(fits, spreads, weights, strict=True)
+        if weight > _LEAST_WEIGHT
     ]
     restitution, interval95 = average(opinions)
-    return FilmValue(
-        restitution=restitution,
-        interval95=interval95,
-        real=float(weights[1]),
-        slope=float(real.unknowns[SLOPE]),
-        slope_sd=float(np.sqrt(spreads[1][-1, -1])) if extra == SLOPE else 0.0,
-    )
+    most = int(weights.argmax())
+    return FilmValue(restitution, interval95, fits[most], float(weights[most]))
 
 
-def film_rebounds(film: FilmedDrop, value: FilmValue) -> tuple[Rebound, ...]:
+def film_rebounds(value: FilmValue) -> tuple[Rebound, ...]:
     """Each impact that says something of its own; the first is the value itself."""
-    likelier = film.real if value.real > _REAL else film.ideal
-    found = rebounds(likelier)
+    found = rebounds(value.likeliest)
     if not found:
         return ()
     first = replace(found[0], restitution=value.restitution, interval95=value.interval95)
     return (first, *found[1:])
+
+
+def _log_evidence(fit: FilmFit, covariance: Array, scale_px: float, worth: float) -> float:
+    """Of a ball, by Laplace's approximation; what all have in common is left out."""
+    own = [PRIORS_SD[one] for one in fit.free if one not in IDEAL]
+    volume = 0.5 * float(np.linalg.slogdet(covariance)[1]) - float(np.log(own).sum())
+    return _log_density(fit, scale_px, worth) + volume + float(np.log(_PRIORS[fit.free]))
 
 
 def _covariance(fit: FilmFit, scale_px: float) -> Array:
@@ -103,10 +107,6 @@ def _covariance(fit: FilmFit, scale_px: float) -> Array:
     for at, one in enumerate(fit.free):
         normal[at, at] += PRIORS_SD[one] ** -2 if one in PRIORS_SD else 1e-9
     return np.linalg.inv(normal).astype(np.float64)
-
-
-def _log_volume(covariance: Array) -> float:
-    return float(np.linalg.slogdet(covariance)[1])
 
 
 def _log_density(fit: FilmFit, scale_px: float, worth: float) -> float:
@@ -133,7 +133,7 @@ def _profile(fit: FilmFit, side: int, guess: float, scale_px: float, worth: floa
             return _LEAST_SD
         start = fit.unknowns.copy()
         start[RESTITUTION] = at
-        held = fit_film(fit.samples, start, others, most=12, gain=1e-5, scale_px=scale_px)
+        held = fit_film(fit.samples, start, others, most=8, gain=1e-4, scale_px=scale_px)
         rise = best - _log_density(replace(held, free=fit.free), scale_px, worth)
         share = float(np.sqrt(max(rise, 0.0) / _RISE))
         reached = abs(at - value) / TWO_SIDED

@@ -116,7 +116,7 @@ class DropVideoTask:
             values=np.array([value.restitution]),
             interval95=np.array([value.interval95]),
             check=sure_check(*value.interval95),
-            rebounds=film_rebounds(found.film, value),
+            rebounds=film_rebounds(value),
         )
 
     def checks(self, found: FoundDrop, last: Step, refined: Refined | None) -> tuple[Check, ...]:
@@ -138,7 +138,7 @@ class DropVideoTask:
     def cross_check(self, found: FoundDrop, estimate: Array) -> CrossCheck | None:  # noqa: ARG002
         """How much shorter the second flight is than the first, which no projection changes."""
         assert found.film is not None
-        ratio = flight_ratio(found.film.better) if found.physical else None
+        ratio = flight_ratio(found.film.best) if found.physical else None
         if ratio is None:
             return None
         agrees = abs(ratio.value - ratio.fitted) < _AGREEMENT + 3 * ratio.sd

@@ -7,6 +7,7 @@ u = x (w - x), with x the time since that impact and w the speed that it left.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,8 +48,11 @@ class Bounce:
         first = self.fall_speed(1.0)
         starts, speeds = [0.0], [self._kept(0, 1.0) * first]
         while starts[-1] <= last and len(starts) < _MOST_FLIGHTS and speeds[-1] > _SLOWEST:
-            apex, lasted = self.apex(speeds[-1])
-            impact = self.fall_speed(apex)
+            if self.drag < _NO_DRAG:
+                lasted = impact = speeds[-1]
+            else:
+                apex, lasted = self.apex(speeds[-1])
+                impact = self.fall_speed(apex)
             kept = self._kept(len(starts), impact / first)
             starts.append(starts[-1] + lasted)
             speeds.append(kept * impact)
@@ -65,23 +69,23 @@ class Bounce:
     def fall_speed(self, height: float) -> float:
         """At the end of a fall from rest [drop heights, sqrt(2 H / g)]."""
         if self.drag < _NO_DRAG:
-            return float(2.0 * np.sqrt(height))
-        return float(np.sqrt(-2.0 * np.expm1(-2.0 * self.drag * height) / self.drag))
+            return 2.0 * math.sqrt(height)
+        return math.sqrt(-2.0 * math.expm1(-2.0 * self.drag * height) / self.drag)
 
     def apex(self, speed: float) -> tuple[float, float]:
         """Height of a flight, and how long it lasts."""
         if self.drag < _NO_DRAG:
             return speed**2 / 4.0, speed
-        height = float(np.log1p(speed**2 * self.drag / 2.0) / (2.0 * self.drag))
-        rise = float(self._angle(speed)) / np.sqrt(2.0 * self.drag)
+        height = math.log1p(speed**2 * self.drag / 2.0) / (2.0 * self.drag)
+        rise = math.atan(speed * math.sqrt(self.drag / 2.0)) / math.sqrt(2.0 * self.drag)
         return height, rise + self._fall_time(height)
 
     def _fall_time(self, height: float) -> float:
         """Of a fall from rest, with drag: arccosh(e^x) / sqrt(2 drag), x = drag height."""
         x = self.drag * height
-        return float(np.log(np.exp(x) + np.sqrt(np.expm1(2.0 * x))) / np.sqrt(2.0 * self.drag))
+        return math.log(math.exp(x) + math.sqrt(math.expm1(2.0 * x))) / math.sqrt(2.0 * self.drag)
 
-    def _angle(self, speed: float | Array) -> Array:
+    def _angle(self, speed: Array) -> Array:
         return np.arctan(speed * np.sqrt(self.drag / 2.0))
 
     def _fall(self, places: Array) -> Array:
