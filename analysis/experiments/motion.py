@@ -1,7 +1,8 @@
 """Motion prediction, the paper's table 3: where the ball will be, by a tuned simulator or without.
 
 Ground truth, Easy: 400 frames at 60 Hz in the paper's simulator. A tuner sees the whole recorded
-drop, finds the restitution, and one more rollout is its prediction.
+drop, or its film by an unknown camera (Obs), finds the restitution, and one more rollout is its
+prediction.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from analysis.estimators.base import Estimator, Problem
 from analysis.estimators.tunenet import TuneNet
 from analysis.experiments.drop_targets import EASY, DropProblems, DropTarget, draw_targets
+from analysis.experiments.filmed_targets import FilmedProblems
 from analysis.experiments.motion_rows import (
     SEEN_STEPS,
     MotionError,
@@ -27,6 +29,7 @@ from analysis.experiments.one_step.data import EngineStep, target_states, traini
 from analysis.experiments.one_step.neural import NeuralRecipe, train_neural
 from analysis.experiments.one_step.vrnn_training import VrnnRecipe, train_vrnn
 from analysis.tunenet.network import Model
+from recorders.simulators.drop import TOPIC
 from tunenet_logs.progress import Progress
 
 Array = NDArray[np.float64]
@@ -42,10 +45,14 @@ class Tuners:
     Attributes:
         paper_code: the paper's network, preset "paper-code".
         ours: asked for heights of the paper's simulator.
+        paper_filmed: the paper's network for films, preset "paper".
+        ours_filmed: asked for films of the paper's simulator.
     """
 
     paper_code: Model
     ours: Estimator
+    paper_filmed: Model
+    ours_filmed: Estimator
 
 
 @dataclass(frozen=True)
@@ -97,8 +104,13 @@ def tuning_errors(
     targets: Sequence[DropTarget], tuners: Tuners, progress: Progress
 ) -> dict[str, MotionError]:
     """Zero, un-tuned and tuned simulators, each rolled out once from the release."""
-    methods: dict[str, Estimator] = {"tunenet-gt": TuneNet(tuners.paper_code), "ours": tuners.ours}
-    problems = DropProblems()
+    problems, films = DropProblems(), FilmedProblems()
+    methods: dict[str, tuple[Estimator, Callable[[DropTarget], Problem]]] = {
+        "tunenet-obs": (TuneNet(tuners.paper_filmed), films.pose_papers),
+        "ours-obs": (tuners.ours_filmed, films.pose_ours),
+        "tunenet-gt": (TuneNet(tuners.paper_code), problems.pose),
+        "ours": (tuners.ours, problems.pose),
+    }
     true_m: list[Array] = []
     predicted_m: dict[str, list[Array]] = {name: [] for name in ("untuned", *methods)}
     with progress.bar(len(targets), "tuning", "drop") as bar:
@@ -106,8 +118,8 @@ def tuning_errors(
             problem = problems.pose(target)
             true_m.append(problem.target.values[:, 0])
             predicted_m["untuned"].append(_heights_m(problem, problem.initial))
-            for name, method in methods.items():
-                fresh = problems.pose(target)  # a rollout that another has paid for is charged too
+            for name, (method, pose) in methods.items():
+                fresh = pose(target)  # a rollout that another has paid for is charged too
                 estimate = method.estimate(fresh, ITERATIONS).estimate
                 predicted_m[name].append(_heights_m(fresh, estimate))
             bar.update(1)
@@ -143,4 +155,4 @@ def one_step_errors(
 
 def _heights_m(problem: Problem, values: Array) -> Array:
     """Of the ball's centre after each step, shape (400,)."""
-    return problem.look(values).observation.values[:, 0]
+    return problem.look(values).episode.signals[TOPIC].values[:, 2]

@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
+from analysis.estimators.best_visited import BestVisited
 from analysis.estimators.refined import RefinedTuneNet
 from analysis.experiments import drop_networks as nets
+from analysis.experiments.filmed_networks import train_ours_on_films, train_papers_on_films
 from analysis.experiments.motion import OneStepTraining, Tuners, motion_table
 from analysis.experiments.motion_rows import MotionRow
 from tunenet_logs.progress import Progress
@@ -37,7 +39,16 @@ def run_motion(
 def _tuners(seed: int, *, jobs: int | None, progress: Progress, effort: nets.Effort) -> Tuners:
     wanted = (nets.PAPER_CODE, nets.OURS)
     networks = nets.train_networks(wanted, seed, jobs, progress, effort)
-    return Tuners(networks[nets.PAPER_CODE], RefinedTuneNet(networks[nets.OURS]))
+    papers_filmed, ours_filmed = (
+        make(seed, jobs, progress, effort.pairs, effort.epochs)
+        for make in (train_papers_on_films, train_ours_on_films)
+    )
+    return Tuners(
+        networks[nets.PAPER_CODE],
+        RefinedTuneNet(networks[nets.OURS]),
+        papers_filmed,
+        BestVisited(RefinedTuneNet(ours_filmed)),
+    )
 
 
 def _one_step_training(effort: nets.Effort) -> OneStepTraining:

@@ -30,7 +30,7 @@ def test_the_table_holds_means_spread_and_the_papers_figures():
         "Zero 1 rollout 3.00 (100) [2.00–4.00] 0.0050 (97) [0.0040–0.0060]"
     )
     unmeasured = next(line for line in text.splitlines() if line.startswith("TuneNet (Obs)"))
-    assert " ".join(unmeasured.split()).startswith("TuneNet (Obs) rollout - (6.03) - (5.7)")
+    assert " ".join(unmeasured.split()).startswith("TuneNet (Obs) 8 rollout - (6.03) - (5.7)")
     assert max(len(line) for line in text.splitlines()) <= 100
 
 
@@ -59,4 +59,8 @@ def test_the_command_runs_from_nothing_to_a_table(
     assert figures["zero"]["percent"] == pytest.approx(100)
     assert 50 < figures["zero"]["cm"] < 200
     assert figures["untuned"]["percent"] > 1
+    for name, paper in (("tunenet-obs", 5.7), ("ours-obs", None)):
+        assert figures[name]["cm"] > 0
+        assert figures[name]["paper_cm"] == paper
+        assert figures[name]["protocol"] == "rollout"
     assert list(tmp_path.iterdir()) == [path]
