@@ -71,6 +71,7 @@ class FilmedDrop:
         used: which pictures the drop is made of, shape (T,) of the track.
         sideways: distance from the image's vertical [drop heights], one for each used picture.
         drop: its heights by the projection, contact at 0.
+        left_out: impacts before it, after deeper falls, from which no drop could be fitted.
     """
 
     track: Track
@@ -80,6 +81,7 @@ class FilmedDrop:
     used: NDArray[np.bool_]
     sideways: Array
     drop: Drop
+    left_out: int
 
     @property
     def best(self) -> FilmFit:
@@ -129,6 +131,7 @@ def find_filmed_drop(
         used=used,
         sideways=(across - np.median(across)) / projection.span_px,
         drop=_drop(seconds[begin:last], along[begin:last], projection, noise_px, begin),
+        left_out=_left_out(whole, projection),
     )
 
 
@@ -210,6 +213,21 @@ def _fits_from(whole: Samples, index: int, balls: Balls) -> tuple[FilmFit, ...]:
         if _good(fits):
             break
     return best
+
+
+def _left_out(whole: Samples, chosen: Projection) -> int:
+    """How many impacts are seen before the chosen one, each after a deeper fall."""
+    before = int(np.searchsorted(whole.seconds, chosen.impact_s - chosen.fall_time_s / 4))
+    seconds, places = whole.seconds[:before], whole.places_px[:before]
+    if before < _FEWEST_SAMPLES:
+        return 0
+    impacts = film_impacts(seconds, places, whole.noise_px)
+    begins = [0, *impacts]
+    falls = [
+        float(places[begin : at + 1].max() - places[at])
+        for begin, at in zip(begins, impacts, strict=False)
+    ]
+    return sum(fall > 1.1 * chosen.span_px for fall in falls)
 
 
 def _rough_fits(samples: Samples, impact_s: float) -> list[FilmFit]:

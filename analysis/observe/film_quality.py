@@ -42,6 +42,12 @@ def film_checks(film: FilmedDrop) -> list[Check]:
             advice="film from closer, the fall over half of the picture's height",
         ),
         Check(
+            "first impact",
+            not film.left_out,
+            f"{film.left_out} impacts after deeper falls before it fit no drop (wanted: none)",
+            advice="let the ball bounce in the middle of a flat table, with nothing in its way",
+        ),
+        Check(
             "stays in view",
             seen > _SEEN,
             f"found in {100 * seen:.0f} % of the pictures of the drop "

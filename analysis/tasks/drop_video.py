@@ -20,6 +20,7 @@ from analysis.refine.film_value import film_rebounds, film_value
 from analysis.tasks.base import CrossCheck, Preset, Refined, Selection
 from analysis.tasks.drop_video_presets import PRESETS
 from analysis.tasks.found_drop import FoundDrop, drop_problem
+from recorders.simulators.balls import completed, recorded_ball
 from recorders.simulators.drop import RESTITUTION
 from tunenet_logs.episode import Episode, EpisodeInfo
 from tunenet_logs.errors import NotFoundError
@@ -67,6 +68,8 @@ class DropVideoTask:
     ) -> FoundDrop:
         pictures = Pictures(episode, topic, selection.start_s, selection.end_s)
         track, warnings = _tracked(pictures, selection.hints, episode.info)
+        ball = completed(selection.ball, recorded_ball(episode.info))
+        selection = replace(selection, ball=ball)
         found = self.find_in_track(track, pictures.start_ns, selection, preset)
         told = sum(one.messages for one in episode.channels if one.topic == topic)
         if selection.end_s is None and pictures.opened < told:
@@ -78,13 +81,11 @@ class DropVideoTask:
             warnings.append(f"{pictures.other_size} pictures of another size were left out")
         if pictures.damaged:
             warnings.append(f"{pictures.damaged} damaged pictures were left out")
-        rig = episode.info.rig
-        diameter_m = selection.ball.diameter_m or rig.get("ball_diameter_m")
         return replace(
             found,
             topic=topic,
             warnings=(*warnings, *found.warnings),
-            known_m=(diameter_m, rig.get("drop_height_m")),
+            known_m=(ball.diameter_m, episode.info.rig.get("drop_height_m")),
         )
 
     def find_in_track(
@@ -100,7 +101,7 @@ class DropVideoTask:
             start_ns=start_ns,
             sideways_m=film.sideways[:, None] * film.drop.drop_height_m,
             target=canonical_film(film) if physical else _paper_target(film),
-            warnings=() if physical else (_paper_warning(film),),
+            warnings=() if physical else _paper_warnings(film, selection),
             film=film,
             known_m=(selection.ball.diameter_m, None),
         )
@@ -195,8 +196,11 @@ def _paper_target(film: FilmedDrop) -> views.Observation:
     return target
 
 
-def _paper_warning(film: FilmedDrop) -> str:
-    return (
+def _paper_warnings(film: FilmedDrop, selection: Selection) -> tuple[str, ...]:
+    told = (
         f"a fall of {film.drop.drop_height_m:.2f} m by this camera; the paper's network was "
         "trained on a ball of 0.5 m radius falling from 4 to 5 m, before the paper's cameras"
     )
+    if selection.fit_drag or selection.ball.drag_1_m is not None:
+        return told, "the ball's mass and size, --fit-drag not used: the paper's network has no air"
+    return (told,)
