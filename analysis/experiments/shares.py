@@ -75,8 +75,8 @@ def work_all(shares: Sequence[Share], jobs: int | None, progress: Progress) -> l
     jobs = min(jobs or len(os.sched_getaffinity(0)), max(1, len(shares)))
     total = sum(len(share.targets) for share in shares)
     results: dict[int, Array] = {}
-    with progress.bar(total, "estimating", "target") as bar, _pool(jobs) as pool:
-        with _interrupts_held():  # this process ends its workers, quietly
+    with progress.bar(total, "estimating", "target") as bar, processes(jobs) as pool:
+        with interrupts_held():  # this process ends its workers, quietly
             futures = {pool.submit(errors_of, share): at for at, share in enumerate(shares)}
         for future in as_completed(futures):
             at = futures[future]
@@ -87,7 +87,7 @@ def work_all(shares: Sequence[Share], jobs: int | None, progress: Progress) -> l
 
 
 @contextmanager
-def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
+def processes(jobs: int) -> Iterator[ProcessPoolExecutor]:
     """Processes of one thread each; an error or Ctrl-C ends them at once.
 
     They are used for one job too: how many threads add up a product decides its last bits.
@@ -112,7 +112,7 @@ def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
 
 
 @contextmanager
-def _interrupts_held() -> Iterator[None]:
+def interrupts_held() -> Iterator[None]:
     """What is started here never sees Ctrl-C; this process does, as soon as it may."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
