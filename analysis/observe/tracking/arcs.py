@@ -49,6 +49,7 @@ class Candidates:
         areas_px: shape (T, M).
         colours: shape (T, M, 3).
         whole: shape (T, M).
+        misfits: shape (T, M).
     """
 
     seconds: Array
@@ -56,6 +57,7 @@ class Candidates:
     areas_px: Array
     colours: Array
     whole: NDArray[np.bool_]
+    misfits: Array
 
 
 def tabulate(seconds: Array, blobs: Sequence[Blobs]) -> Candidates:
@@ -65,12 +67,14 @@ def tabulate(seconds: Array, blobs: Sequence[Blobs]) -> Candidates:
     areas = np.full((len(blobs), most), np.nan)
     colours = np.full((len(blobs), most, 3), np.nan)
     whole = np.zeros((len(blobs), most), dtype=bool)
+    misfits = np.zeros((len(blobs), most))
     for index, one in enumerate(blobs):
         places[index, : len(one)] = one.places_px
         areas[index, : len(one)] = one.areas_px
         colours[index, : len(one)] = one.colours
         whole[index, : len(one)] = one.whole
-    return Candidates(seconds, places, areas, colours, whole)
+        misfits[index, : len(one)] = one.misfits
+    return Candidates(seconds, places, areas, colours, whole, misfits)
 
 
 def longest_arc(table: Candidates) -> Arc | None:
