@@ -96,27 +96,27 @@ def middle_of(stack: Sequence[Picture]) -> Picture:
 
 
 def without_ball(
-    samples: Sequence[Picture], places_px: NDArray[np.float64], radius_px: float
+    samples: Sequence[Picture], places_px: Sequence[NDArray[np.float64]], radius_px: float
 ) -> Background:
     """The background with the ball left out of each sample: it may rest in one place for long.
 
     Args:
         samples: uint8, shape (H, W, 3) each.
-        places_px: where the ball is in each, shape (N, 2).
+        places_px: where the ball may be in each, shape (K, 2); NaN for nowhere.
         radius_px: of what to leave out.
     """
     picture, spread = _median_and_spread(samples)
     height, width = picture.shape[:2]
-    known = places_px[np.isfinite(places_px[:, 0])]
+    known = np.concatenate([one[np.isfinite(one[:, 0])] for one in places_px])
     if not len(known):
         return Background(picture, _smooth(picture), _threshold(spread))
     left, top = np.clip(np.floor(known.min(axis=0) - radius_px).astype(int), 0, [width, height])
     right, bottom = np.clip(np.ceil(known.max(axis=0) + radius_px).astype(int) + 1, 0, [width, height])
     rows, columns = np.mgrid[top:bottom, left:right]
     hidden = np.zeros((len(samples), *rows.shape), dtype=bool)
-    for at, (x, y) in enumerate(places_px):
-        if np.isfinite(x):
-            hidden[at] = (columns - x) ** 2 + (rows - y) ** 2 < radius_px**2
+    for at, places in enumerate(places_px):
+        for x, y in places[np.isfinite(places[:, 0])]:
+            hidden[at] |= (columns - x) ** 2 + (rows - y) ** 2 < radius_px**2
     often = hidden.sum(axis=0)
     touched = (often > 0) & (often < len(samples))
     if touched.any():

@@ -61,8 +61,10 @@ def follow(table: Candidates, arc: Arc, look: Look) -> tuple[NDArray[np.intp], A
     return chosen, cost
 
 
-def flying(arc: Arc, chosen: NDArray[np.intp], places_px: Array, look: Look) -> NDArray[np.intp]:
-    """Pictures that show the moving ball well apart, those of the flight first; at most a few."""
+def flying(
+    arc: Arc, chosen: NDArray[np.intp], places_px: Array, look: Look
+) -> tuple[NDArray[np.intp], int]:
+    """Pictures that show the moving ball well apart, at most a few; and the first without it."""
     found = chosen >= 0
     first, last = int(arc.frames[0]), int(arc.frames[-1])
     gaps = np.flatnonzero(~found[last:])
@@ -73,7 +75,22 @@ def flying(arc: Arc, chosen: NDArray[np.intp], places_px: Array, look: Look) -> 
         if found[at] and (crowd < look.radius_px / 2).sum() < _ALIKE_PLACES:
             shown.append(at)
     some = np.linspace(0, len(shown) - 1, min(_MOST_SHOWN, len(shown))).astype(int)
-    return np.array(shown, np.intp)[some]
+    return np.array(shown, np.intp)[some], end
+
+
+def resting_place(arc: Arc, places_px: Array, frame: int, end: int) -> Array:
+    """Where a ball that is no longer followed may lie: at its lowest place; NaN while it is.
+
+    Args:
+        arc: its flight.
+        places_px: where it was followed, shape (T, 2).
+        frame: a picture.
+        end: the first without it.
+    """
+    if frame < end:
+        return np.full(2, np.nan)
+    followed = places_px[arc.frames[0] : end]
+    return followed[int(np.argmax(followed @ arc.gravity_px))]
 
 
 def held_places(seconds: Array, arc: Arc, places_px: Array) -> Array:

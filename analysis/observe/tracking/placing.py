@@ -31,6 +31,7 @@ _GROWTH_SD = 0.25
 _LEAST_SAMPLES = 3
 _ROUNDS = 5
 _SURROUNDINGS = 5.0
+_STARTS = ((0, 0, 0.0), (1, 0, 0.0), (-1, 0, 0.0), (0, 1, 0.0), (0, -1, 0.0), (0, 0, 0.2), (0, 0, -0.2))
 _COARSE_PX = 4.0
 
 
@@ -156,8 +157,8 @@ class Appearance:
         """The best of a few places around, for a start that is off by a part of the ball."""
         step = 0.45 * self.radius_px * self.zoom
         tried = []
-        for right, down in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)):
-            values = start + np.array([right * step, down * step, 0.0])
+        for right, down, growth in _STARTS:
+            values = start + np.array([right * step, down * step, growth])
             off = self._residual(patch, values)[0]
             tried.append((float((off / (off + _LARGE**2)).sum()), values))
         return min(tried, key=lambda one: one[0])[1]

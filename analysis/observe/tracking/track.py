@@ -20,6 +20,7 @@ from analysis.observe.tracking.following import (
     follow,
     held_places,
     look_of,
+    resting_place,
     same_arc,
 )
 from analysis.observe.tracking.looking import Eye
@@ -117,8 +118,9 @@ def track_ball(pictures: Pictures, hints: Hints | None = None) -> Track:
     chosen, _ = follow(table, arc, look)
     places = _filled(_chosen(table.places_px, chosen))
     areas = _chosen(table.areas_px, chosen)
-    clear = without_ball(pictures.samples, places[pictures.sampled], 2.5 * look.radius_px + 2)
-    shown = flying(arc, chosen, places, look)
+    shown, end = flying(arc, chosen, places, look)
+    maybe = [np.stack([places[at], resting_place(arc, places, at, end)]) for at in pictures.sampled]
+    clear = without_ball(pictures.samples, maybe, 2.5 * look.radius_px + 2)
     ball = learn_appearance(pictures.some(shown), clear, places[shown], areas[shown])
     eye = Eye(clear, look, ball, allowed)
     held = held_places(seconds, arc, places)
