@@ -78,18 +78,9 @@ def flying(
     return np.array(shown, np.intp)[some], end
 
 
-def resting_place(arc: Arc, places_px: Array, frame: int, end: int) -> Array:
-    """Where a ball that is no longer followed may lie: at its lowest place; NaN while it is.
-
-    Args:
-        arc: its flight.
-        places_px: where it was followed, shape (T, 2).
-        frame: a picture.
-        end: the first without it.
-    """
-    if frame < end:
-        return np.full(2, np.nan)
-    followed = places_px[arc.frames[0] : end]
+def lowest_place(arc: Arc, places_px: Array) -> Array:
+    """Where the ball would come to rest, shape (2,), if it is there at its lowest."""
+    followed = places_px[arc.frames[0] :]
     return followed[int(np.argmax(followed @ arc.gravity_px))]
 
 

@@ -24,11 +24,16 @@ _FINE_PX = 9.0
 """A larger ball is reduced to that radius before it is fitted."""
 
 _REACH = 1.6
-_MOST_STEPS = 8
+_MOST_STEPS = 10
 _ENOUGH_PX = 0.01
-_LARGE = 25.0
-_GROWTH_SD = 0.25
+_LARGE, _LARGEST, _STRICTER = 30.0, 120.0, 0.65
+"""Residuals that count little: at first only the largest, or there would be no pull to the edge."""
+
+_PRIOR = np.diag([0.0, 0.0, 0.25**-2, 0.2**-2, 0.2**-2, 0.2**-2])
+"""Of the growth, and of the light: as a whole, to the right and downward."""
+
 _LEAST_SAMPLES = 3
+_TELLING = 400.0
 _ROUNDS = 5
 _SURROUNDINGS = 5.0
 _STARTS = ((0, 0, 0.0), (1, 0, 0.0), (-1, 0, 0.0), (0, 1, 0.0), (0, -1, 0.0), (0, 0, 0.2), (0, 0, -0.2))
@@ -110,7 +115,8 @@ class Appearance:
         patch = _cut(picture, background, gain, (x, y), self.radius_px * grown, self.zoom)
         if patch is None:
             return None
-        start = self._nearest(patch, np.array([*patch.here(x, y), np.log(grown)]))
+        start = np.array([*patch.here(x, y), np.log(grown), 0.0, 0.0, 0.0])
+        start = self._nearest(patch, start)
         values, misfit = self._fit(patch, start, np.log(grown))
         px, py = patch.there(values[0], values[1])
         if np.hypot(px - x, py - y) > 1.2 * self.radius_px * grown + 2:
@@ -158,52 +164,67 @@ class Appearance:
         step = 0.45 * self.radius_px * self.zoom
         tried = []
         for right, down, growth in _STARTS:
-            values = start + np.array([right * step, down * step, growth])
+            values = start + np.array([right * step, down * step, growth, 0.0, 0.0, 0.0])
             off = self._residual(patch, values)[0]
             tried.append((float((off / (off + _LARGE**2)).sum()), values))
         return min(tried, key=lambda one: one[0])[1]
 
-    def _residual(self, patch: _Patch, values: Array) -> tuple[Fine, Fine, Fine]:
-        """Squared residuals (N, N), residuals (N, N, 3), the ball's layers there."""
-        layers = _moved(self.layers, values, patch.seen.shape[0])
+    def _residual(self, patch: _Patch, values: Array) -> tuple[Fine, Fine, Fine, Fine]:
+        """Squared residuals (N, N), residuals (N, N, 3), the ball's layers, where in the ball."""
+        side = patch.seen.shape[0]
+        layers = _moved(self.layers, values, side)
+        size = np.float32(self.radius_px * self.zoom * np.exp(values[2]))
+        axis = np.arange(side, dtype=np.float32)
+        within = np.stack(np.meshgrid((axis - values[0]) / size, (axis - values[1]) / size))
+        light = 1 + values[3] + values[4] * within[0] + values[5] * within[1]
+        layers[:, :, :3] *= light.astype(np.float32)[:, :, None]
         model = patch.behind * (1 - layers[:, :, 3:]) + layers[:, :, :3]
         off = (patch.seen - model) * patch.inside[:, :, None]
-        return (off**2).mean(axis=2), off, layers
+        return (off**2).mean(axis=2), off, layers, within.astype(np.float32)
 
     def _fit(self, patch: _Patch, start: Array, growth: float) -> tuple[Array, float]:
-        """Gauss-Newton steps in x, y and the logarithm of the size."""
+        """Gauss-Newton steps in x, y, the logarithm of the size, and the light on the ball."""
         values = start.copy()
-        side = np.arange(patch.seen.shape[0], dtype=np.float32)
-        for _ in range(_MOST_STEPS):
-            squared, off, layers = self._residual(patch, values)
-            weight = 1 / (1 + squared / _LARGE**2) ** 2
-            across = _slope(layers, 1), _slope(layers, 0)
-            slopes = [one[:, :, :3] - patch.behind * one[:, :, 3:] for one in across]
-            x, y = side - np.float32(values[0]), (side - np.float32(values[1]))[:, None]
-            slopes.append(x[None, :, None] * slopes[0] + y[:, :, None] * slopes[1])
-            jacobian = -np.stack([one.reshape(-1) for one in slopes])
-            weights = np.repeat((weight * patch.inside).reshape(-1), 3)
-            weighted = jacobian * weights
+        expected = np.array([0.0, 0.0, growth, 0.0, 0.0, 0.0])
+        radius = self.radius_px * self.zoom
+        for turn in range(_MOST_STEPS):
+            squared, off, layers, within = self._residual(patch, values)
+            large = max(_LARGE, _LARGEST * _STRICTER**turn)
+            weight = patch.inside / (1 + squared / large**2) ** 2
+            jacobian = self._jacobian(patch, layers, within, radius)
+            weighted = jacobian * np.repeat(weight.reshape(-1), 3)
             normal = (weighted @ jacobian.T).astype(np.float64)
             towards = (weighted @ off.reshape(-1)).astype(np.float64)
-            noise = max(float(np.average(squared, weights=weight)), 1.0)
-            prior = 3 * noise / _GROWTH_SD**2
-            normal[2, 2] += prior
-            towards[2] -= prior * (values[2] - growth)
-            normal += np.diag(np.full(3, 1e-3) + 1e-6 * np.trace(normal))
+            noise = max(float((weight * squared).sum() / (weight.sum() + 1e-9)), 1.0)
+            normal += 3 * noise * _PRIOR
+            towards -= 3 * noise * _PRIOR @ (values - expected)
+            normal[0, 0] += 1e-3
+            normal[1, 1] += 1e-3
             step = np.linalg.solve(normal, towards)
-            most = 0.4 * self.radius_px * self.zoom
-            step[:2] *= min(1.0, most / (float(np.hypot(*step[:2])) + 1e-9))
+            step[:2] *= min(1.0, 0.4 * radius / (float(np.hypot(*step[:2])) + 1e-9))
             step[2] = np.clip(step[2], -0.1, 0.1)
-            values += step
-            if np.abs(step[:2]).max() < _ENOUGH_PX:
+            values = values + step
+            if large == _LARGE and np.abs(step[:2]).max() < _ENOUGH_PX:
                 break
-        squared, _, layers = self._residual(patch, values)
+        squared, _, layers, _ = self._residual(patch, values)
         inside = (layers[:, :, 3] > 0.5) & (patch.inside > 0)
+        if not inside.any():
+            return values, np.inf
         stands_out = layers[:, :, :3] - patch.behind * layers[:, :, 3:]
-        contrast = float((stands_out[inside] ** 2).mean()) if inside.any() else 0.0
-        worst = float(squared[inside].mean()) if inside.any() else np.inf
-        return values, float(np.sqrt(worst / (contrast + 1.0)))
+        contrast = float((stands_out[inside] ** 2).mean())
+        return values, float(np.sqrt(squared[inside].mean() / (contrast + 1.0)))
+
+    def _jacobian(self, patch: _Patch, layers: Fine, within: Fine, radius: float) -> Fine:
+        """What each value changes, shape (6, 3 N^2)."""
+        right, down = (
+            patch.behind * one[:, :, 3:] - one[:, :, :3]
+            for one in (_slope(layers, 1), _slope(layers, 0))
+        )
+        x, y = within[0][:, :, None], within[1][:, :, None]
+        colours = layers[:, :, :3]
+        grown = np.float32(radius) * (x * right + y * down)
+        rows = (right, down, grown, colours, colours * x, colours * y)
+        return np.stack([one.reshape(-1) for one in rows])
 
 
 def learn_appearance(
@@ -234,7 +255,7 @@ def learn_appearance(
             patch = _cut(samples[at], background, gains[at], (x, y), 1.3 * radius, zoom)
             if patch is not None:
                 patches.append(patch)
-                starts.append(np.array([*patch.here(x, y), growth]))
+                starts.append(np.array([*patch.here(x, y), growth, 0.0, 0.0, 0.0]))
                 used.append(at)
         if len(patches) < _LEAST_SAMPLES:
             return None
@@ -244,7 +265,8 @@ def learn_appearance(
             for one, start in zip(patches, starts, strict=True)
         ]
         middle = float(np.median([values[2] for values in fitted]))
-        fitted = [values - np.array([0.0, 0.0, middle]) for values in fitted]
+        for values in fitted:
+            values[2] -= middle
         radius = _outline(patches, fitted, radius * zoom) * float(np.exp(middle)) / zoom
         for at, patch, values in zip(used, patches, fitted, strict=True):
             places[at] = (*patch.there(values[0], values[1]), float(values[2]))
@@ -290,7 +312,7 @@ def _moved(layers: Fine, values: Array, side: int) -> Fine:
     """The ball's layers with its middle at x, y, grown, as `side` by `side` pixels."""
     import cv2
 
-    x, y, growth = values
+    x, y, growth = values[:3]
     grow = float(np.exp(growth))
     middle = (layers.shape[0] - 1) / 2
     turn = np.array([[grow, 0.0, x - grow * middle], [0.0, grow, y - grow * middle]])
@@ -311,7 +333,7 @@ def _straightened(picture: Fine, values: Array, side: int) -> Fine:
     """A patch with the ball in its middle and at its usual size."""
     import cv2
 
-    x, y, growth = values
+    x, y, growth = values[:3]
     grow = float(np.exp(growth))
     middle = (side - 1) / 2
     turn = np.array([[grow, 0.0, x - grow * middle], [0.0, grow, y - grow * middle]])
@@ -350,7 +372,7 @@ def _outline(patches: Sequence[_Patch], places: Sequence[Array], radius: float) 
         towards = inner - behind
         size = (towards**2).sum(axis=2)
         share = ((seen - behind) * towards).sum(axis=2) / (size + 1.0)
-        shares.append(np.where(size > 3 * _LARGE**2, np.clip(share, 0, 1), np.nan))
+        shares.append(np.where(size > _TELLING, np.clip(share, 0, 1), np.nan))
     with np.errstate(invalid="ignore"):
         stack = np.array(shares)
         enough = np.isfinite(stack).sum(axis=0) >= min(3, len(stack))

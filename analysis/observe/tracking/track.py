@@ -20,7 +20,7 @@ from analysis.observe.tracking.following import (
     follow,
     held_places,
     look_of,
-    resting_place,
+    lowest_place,
     same_arc,
 )
 from analysis.observe.tracking.looking import Eye
@@ -31,6 +31,8 @@ from tunenet_logs.errors import NotFoundError
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
+_HIDDEN = 2.5
+_MISSED = 1.2
 _NEAR_PX = 50
 """From a mark to the edge of what it marks, in the reduced picture: it need not be exact."""
 
@@ -119,9 +121,15 @@ def track_ball(pictures: Pictures, hints: Hints | None = None) -> Track:
     places = _filled(_chosen(table.places_px, chosen))
     areas = _chosen(table.areas_px, chosen)
     shown, end = flying(arc, chosen, places, look)
-    maybe = [np.stack([places[at], resting_place(arc, places, at, end)]) for at in pictures.sampled]
-    clear = without_ball(pictures.samples, maybe, 2.5 * look.radius_px + 2)
-    ball = learn_appearance(pictures.some(shown), clear, places[shown], areas[shown])
+    low = lowest_place(arc, places[:end])
+    maybe = [np.stack([places[at], low if at > arc.frames[-1] else places[at]]) for at in pictures.sampled]
+    clear = without_ball(pictures.samples, maybe, _HIDDEN * look.radius_px + 2)
+    crops = pictures.some(shown)
+    ball = learn_appearance(crops, clear, places[shown], areas[shown])
+    if ball is not None and ball.radius_px > _MISSED * look.radius_px:
+        clear = without_ball(pictures.samples, maybe, _HIDDEN * ball.radius_px + 2)
+        ball = learn_appearance(crops, clear, places[shown], areas[shown])
+    del crops
     eye = Eye(clear, look, ball, allowed)
     held = held_places(seconds, arc, places)
     looked = [eye.find(*one) for one in zip(pictures, places, held, strict=True)]
