@@ -78,26 +78,37 @@ def flying(
     return np.array(shown, np.intp)[some], end
 
 
-def lowest_place(arc: Arc, places_px: Array) -> Array:
-    """Where the ball would come to rest, shape (2,), if it is there at its lowest."""
-    followed = places_px[arc.frames[0] :]
-    return followed[int(np.argmax(followed @ arc.gravity_px))]
+def still_places(seconds: Array, arc: Arc, places_px: Array, end: int) -> Array:
+    """Where the ball was before its flight was seen, and may lie after it, shape (T, 2).
 
-
-def held_places(seconds: Array, arc: Arc, places_px: Array) -> Array:
-    """Where the ball was before its flight was seen, if it was let go then, shape (T, 2).
-
-    Backwards along the flight's parabola to where it is at rest, and there. NaN from the flight on.
+    Backwards along the flight's parabola to where it is at rest, and there; later, the lowest place
+    up to `end`, until when it was followed without a break. NaN in flight.
     """
-    clock = seconds[arc.frames] - seconds[arc.frames[0]]
+    begin = int(arc.frames[0])
+    clock = seconds[arc.frames] - seconds[begin]
     curve = np.polyfit(clock, places_px[arc.frames], 2)
     down = arc.gravity_px / np.linalg.norm(arc.gravity_px)
-    times = seconds - seconds[arc.frames[0]]
+    times = seconds - seconds[begin]
     released = -float(curve[1] @ down) / max(2 * float(curve[0] @ down), 1e-9)
     times = np.maximum(times, released)[:, None]
-    held = curve[0] * times**2 + curve[1] * times + curve[2]
-    held[arc.frames[0] :] = np.nan
-    return held
+    still = curve[0] * times**2 + curve[1] * times + curve[2]
+    still[begin : arc.frames[-1] + 1] = np.nan
+    followed = places_px[begin:end]
+    still[arc.frames[-1] + 1 :] = followed[int(np.argmax(followed @ down))]
+    return still
+
+
+def hiding_places(frame: int, arc: Arc, places_px: Array, still_px: Array, look: Look) -> Array:
+    """Where the ball may be in a picture, so that it is not taken for the background, shape (K, 2).
+
+    A ball that has come to rest lies in most pictures, so that it does not stand out of their
+    median, and was lost before it got there: a little above.
+    """
+    if frame <= arc.frames[-1] or not np.isfinite(still_px[frame, 0]):
+        return places_px[frame][None]
+    down = arc.gravity_px / np.linalg.norm(arc.gravity_px)
+    below = [still_px[frame] + steps * look.radius_px * down for steps in (0.0, 2.0, 4.0)]
+    return np.stack([places_px[frame], *below])
 
 
 def _follow_on(

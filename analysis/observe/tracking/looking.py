@@ -37,22 +37,22 @@ class Eye:
     ball: Appearance | None
     allowed: Picture | None
 
-    def find(self, picture: Picture, expected_px: Array, held_px: Array) -> Blobs:
+    def find(self, picture: Picture, expected_px: Array, still_px: Array) -> Blobs:
         """Candidates: the ball where it is expected, else all that looks like it.
 
         Args:
             picture: to look at.
             expected_px: where it was found before its picture was known, shape (2,).
-            held_px: where it may be held still, shape (2,); NaN where it is not.
+            still_px: where it may be held or lie, shape (2,); NaN where it is known to fly.
         """
         if self.ball is None:
             return coloured_blobs(picture, self.background, self.look, self.allowed)
         gain = self.background.gain(picture)
         placed: list[Placing] = []
-        for x, y in (expected_px, held_px):
+        for x, y in (expected_px, still_px):
             if np.isfinite(x) and self._place(placed, picture, gain, float(x), float(y)):
                 return self._blobs(picture, placed[-1:])
-        for x, y in (expected_px, held_px):
+        for x, y in (expected_px, still_px):
             if np.isfinite(x):
                 for near in self.ball.alike(picture, float(x), float(y)):
                     if self._place(placed, picture, gain, *near):

@@ -26,7 +26,7 @@ _FINE_PX = 9.0
 _REACH = 1.6
 _MOST_STEPS = 10
 _ENOUGH_PX = 0.01
-_LARGE, _LARGEST, _STRICTER = 30.0, 120.0, 0.65
+_LARGE, _LARGE_SHARE, _AT_FIRST, _STRICTER = 30.0, 0.35, 4.0, 0.65
 """Residuals that count little: at first only the largest, or there would be no pull to the edge."""
 
 _PRIOR = np.diag([0.0, 0.0, 0.25**-2, 0.2**-2, 0.2**-2, 0.2**-2])
@@ -187,9 +187,10 @@ class Appearance:
         values = start.copy()
         expected = np.array([0.0, 0.0, growth, 0.0, 0.0, 0.0])
         radius = self.radius_px * self.zoom
+        strict = max(_LARGE, _LARGE_SHARE * self._contrast(patch, self._residual(patch, values)[2]))
         for turn in range(_MOST_STEPS):
             squared, off, layers, within = self._residual(patch, values)
-            large = max(_LARGE, _LARGEST * _STRICTER**turn)
+            large = strict * max(1.0, _AT_FIRST * _STRICTER**turn)
             weight = patch.inside / (1 + squared / large**2) ** 2
             jacobian = self._jacobian(patch, layers, within, radius)
             weighted = jacobian * np.repeat(weight.reshape(-1), 3)
@@ -204,15 +205,19 @@ class Appearance:
             step[:2] *= min(1.0, 0.4 * radius / (float(np.hypot(*step[:2])) + 1e-9))
             step[2] = np.clip(step[2], -0.1, 0.1)
             values = values + step
-            if large == _LARGE and np.abs(step[:2]).max() < _ENOUGH_PX:
+            if large == strict and np.abs(step[:2]).max() < _ENOUGH_PX:
                 break
         squared, _, layers, _ = self._residual(patch, values)
         inside = (layers[:, :, 3] > 0.5) & (patch.inside > 0)
         if not inside.any():
             return values, np.inf
-        stands_out = layers[:, :, :3] - patch.behind * layers[:, :, 3:]
-        contrast = float((stands_out[inside] ** 2).mean())
-        return values, float(np.sqrt(squared[inside].mean() / (contrast + 1.0)))
+        return values, float(np.sqrt(squared[inside].mean()) / self._contrast(patch, layers))
+
+    def _contrast(self, patch: _Patch, layers: Fine) -> float:
+        """How far the ball stands out, rms, at least 1."""
+        inside = (layers[:, :, 3] > 0.5) & (patch.inside > 0)
+        stands_out = (layers[:, :, :3] - patch.behind * layers[:, :, 3:])[inside]
+        return float(np.sqrt((stands_out**2).mean() + 1.0)) if len(stands_out) else 1.0
 
     def _jacobian(self, patch: _Patch, layers: Fine, within: Fine, radius: float) -> Fine:
         """What each value changes, shape (6, 3 N^2)."""

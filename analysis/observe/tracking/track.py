@@ -18,10 +18,10 @@ from analysis.observe.tracking.following import (
     LEAST_SEEN,
     flying,
     follow,
-    held_places,
+    hiding_places,
     look_of,
-    lowest_place,
     same_arc,
+    still_places,
 )
 from analysis.observe.tracking.looking import Eye
 from analysis.observe.tracking.pictures import Pictures
@@ -121,18 +121,18 @@ def track_ball(pictures: Pictures, hints: Hints | None = None) -> Track:
     places = _filled(_chosen(table.places_px, chosen))
     areas = _chosen(table.areas_px, chosen)
     shown, end = flying(arc, chosen, places, look)
-    low = lowest_place(arc, places[:end])
-    maybe = [np.stack([places[at], low if at > arc.frames[-1] else places[at]]) for at in pictures.sampled]
-    clear = without_ball(pictures.samples, maybe, _HIDDEN * look.radius_px + 2)
+    still = still_places(seconds, arc, places, end)
     crops = pictures.some(shown)
+    numbers, all_of = [*pictures.sampled, *shown], [*pictures.samples, *crops]
+    maybe = [hiding_places(number, arc, places, still, look) for number in numbers]
+    clear = without_ball(all_of, maybe, _HIDDEN * look.radius_px + 2)
     ball = learn_appearance(crops, clear, places[shown], areas[shown])
     if ball is not None and ball.radius_px > _MISSED * look.radius_px:
-        clear = without_ball(pictures.samples, maybe, _HIDDEN * ball.radius_px + 2)
+        clear = without_ball(all_of, maybe, _HIDDEN * ball.radius_px + 2)
         ball = learn_appearance(crops, clear, places[shown], areas[shown])
-    del crops
+    del crops, all_of
     eye = Eye(clear, look, ball, allowed)
-    held = held_places(seconds, arc, places)
-    looked = [eye.find(*one) for one in zip(pictures, places, held, strict=True)]
+    looked = [eye.find(*one) for one in zip(pictures, places, still, strict=True)]
     table = tabulate(seconds, looked)
     arc = same_arc(table, arc, places)
     look = look_of(table, arc)
