@@ -22,7 +22,14 @@ _TICKS_HZ = 90_000
 _MATRIX_AT = 44
 """Bytes from the name of an mp4's track header to its display matrix (ISO/IEC 14496-12, 8.3.2)."""
 
-VERSIONS = ("as filmed", "1/8 speed", "half size", "mirrored", "rotated, flagged", "every 2nd frame")
+VERSIONS = (
+    "as filmed",
+    "1/8 speed",
+    "half size",
+    "mirrored",
+    "rotated, flagged",
+    "every 2nd frame",
+)
 """What can be made of one clip that changes nothing of its ball."""
 
 _ROTATED, _HALF_SIZE, _MIRRORED = VERSIONS[4], VERSIONS[2], VERSIONS[3]
@@ -61,7 +68,9 @@ def write_versions(order: ClipOrder, folder: Path, versions: tuple[str, ...]) ->
         for at, (picture, second) in enumerate(zip(clip_frames(order), seconds, strict=True)):
             for one, sink in zip(versions, sinks, strict=True):
                 if one != VERSIONS[5] or at % 2 == 0:
-                    sink.add(_changed(picture, one), float(second) * (8 if one == VERSIONS[1] else 1))
+                    sink.add(
+                        _changed(picture, one), float(second) * (8 if one == VERSIONS[1] else 1)
+                    )
     for one, path in zip(versions, paths, strict=True):
         if one == _ROTATED:
             _flag_rotation(path)
@@ -115,7 +124,12 @@ class _Mp4:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_error: object) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
         self._container.mux(self._stream.encode())
         self._container.close()
 

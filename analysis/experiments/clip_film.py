@@ -151,9 +151,12 @@ def _add_person(frame: Picture, person: Person, second: float) -> None:
     for side in (-1, 1):
         ends = (round(x), round(foot - 0.45 * tall)), (round(x + side * swing), round(foot))
         cv2.line(frame, *ends, legs, max(2, round(0.07 * tall)), cv2.LINE_AA)
-    corners = (round(x - 0.1 * tall), round(top + 0.14 * tall)), (
-        round(x + 0.1 * tall),
-        round(foot - 0.42 * tall),
+    corners = (
+        (round(x - 0.1 * tall), round(top + 0.14 * tall)),
+        (
+            round(x + 0.1 * tall),
+            round(foot - 0.42 * tall),
+        ),
     )
     cv2.rectangle(frame, *corners, body, -1)
     cv2.circle(frame, (round(x), round(top + 0.07 * tall)), round(0.07 * tall), head, -1)

@@ -1,4 +1,4 @@
-"""What a drawn clip is to show, drawn at random: the ball, the rig, the room and who else is there."""
+"""What a drawn clip is to show, at random: the ball, the rig, the room and who else is there."""
 
 from __future__ import annotations
 

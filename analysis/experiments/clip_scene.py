@@ -87,7 +87,8 @@ def _surfaces(
     reach = np.minimum(np.minimum(to_floor, to_wall), 1e3)
     at_m = position + reach[:, :, None] * looks
     on_wall = np.stack([at_m @ sideways, -at_m[:, :, 2]], axis=2)
-    return np.where(is_floor[:, :, None], at_m[:, :, :2], on_wall), at_m, is_floor
+    along = np.where(is_floor[:, :, None], at_m[:, :, :2], on_wall)
+    return along.astype(np.float64), at_m.astype(np.float64), is_floor
 
 
 def _texture(rng: np.random.Generator) -> Picture:

@@ -35,7 +35,7 @@ class Background:
     threshold: Picture
 
     def difference(self, picture: Picture) -> Picture:
-        """Largest difference of the three smooth colours, but for the light's changes, shape (H, W)."""
+        """Largest difference of the smooth colours, but for the light's changes, shape (H, W)."""
         import cv2
 
         same = cv2.convertScaleAbs(_smooth(picture), alpha=self.gain(picture))
@@ -111,7 +111,9 @@ def without_ball(
     if not len(known):
         return Background(picture, _smooth(picture), _threshold(spread))
     left, top = np.clip(np.floor(known.min(axis=0) - radius_px).astype(int), 0, [width, height])
-    right, bottom = np.clip(np.ceil(known.max(axis=0) + radius_px).astype(int) + 1, 0, [width, height])
+    right, bottom = np.clip(
+        np.ceil(known.max(axis=0) + radius_px).astype(int) + 1, 0, [width, height]
+    )
     rows, columns = np.mgrid[top:bottom, left:right]
     hidden = np.zeros((len(samples), *rows.shape), dtype=bool)
     for at, places in enumerate(places_px):
@@ -124,11 +126,15 @@ def without_ball(
         values = np.stack([sample[where] for sample in samples]).astype(np.float32)
         values[hidden[:, touched]] = np.inf  # sorted to the end, and not counted
         values.sort(axis=0)
-        middle = np.take_along_axis(values, ((len(samples) - often[touched] - 1) // 2)[None, :, None], 0)[0]
+        middle = np.take_along_axis(
+            values, ((len(samples) - often[touched] - 1) // 2)[None, :, None], 0
+        )[0]
         picture[where] = middle.astype(np.uint8)
         off = np.abs(values - middle).max(axis=2) / _SMOOTHER
         off.sort(axis=0)
-        spread[where] = np.take_along_axis(off, ((len(samples) - often[touched] - 1) // 2)[None], 0)[0]
+        spread[where] = np.take_along_axis(
+            off, ((len(samples) - often[touched] - 1) // 2)[None], 0
+        )[0]
     return Background(picture, _smooth(picture), _threshold(spread))
 
 

@@ -130,7 +130,7 @@ def _ball_share(
     return np.clip(share, 0.0, 1.0)
 
 
-def _components(picture: Picture, mask: Picture, weight: NDArray[np.float32]) -> Blobs:
+def _components(picture: Picture, mask: Picture, weight: NDArray[np.float32] | Picture) -> Blobs:
     import cv2
 
     closed = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))

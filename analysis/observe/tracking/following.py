@@ -37,6 +37,7 @@ def same_arc(table: Candidates, arc: Arc, places: Array) -> Arc:
 
 
 def look_of(table: Candidates, arc: Arc) -> Look:
+    """Colour and size of what flies."""
     colours = table.colours[arc.frames, arc.chosen]
     areas = table.areas_px[arc.frames, arc.chosen]
     return Look(np.median(colours, axis=0), float(np.median(areas)))

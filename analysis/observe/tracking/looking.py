@@ -96,7 +96,7 @@ class Eye:
         colours = np.array([_colour(picture, one) for one in placed]).reshape(-1, 3)
         height, width = picture.shape[:2]
         far = np.array([width, height]) - 1 - radii[:, None]
-        whole = ((places >= radii[:, None]) & (places <= far)).all(axis=1)
+        whole = np.array(np.all((places >= radii[:, None]) & (places <= far), axis=1))
         misfits = np.array([one.misfit for one in placed])
         return Blobs(places, np.pi * radii**2, colours, whole, misfits)
 

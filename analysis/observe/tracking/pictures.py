@@ -99,7 +99,7 @@ class Pictures:
                 yield self._reduced(frame.decode())
 
     def some(self, numbers: Collection[int]) -> list[Picture]:
-        """Those of these numbers (of `stamps_ns`), reduced, in order; the others are not decoded."""
+        """Those of these numbers (of `stamps_ns`), in order; the others are not decoded."""
         wanted = set(numbers)
         found: list[Picture] = []
         number = -1

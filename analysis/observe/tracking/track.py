@@ -23,9 +23,9 @@ from analysis.observe.tracking.following import (
     same_arc,
     still_places,
 )
+from analysis.observe.tracking.learning import learn_appearance
 from analysis.observe.tracking.looking import Eye
 from analysis.observe.tracking.pictures import Pictures
-from analysis.observe.tracking.placing import learn_appearance
 from tunenet_logs.errors import NotFoundError
 
 Array = NDArray[np.float64]
@@ -104,7 +104,6 @@ def track_ball(pictures: Pictures, hints: Hints | None = None) -> Track:
 
     def candidates(find: Callable[[Picture], Blobs]) -> Candidates:
         return tabulate(seconds, [find(picture) for picture in pictures])
-
 
     if hints.hsv is not None:
         low, high = (np.array(one) for one in hints.hsv)
