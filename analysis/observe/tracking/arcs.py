@@ -15,7 +15,8 @@ Index = NDArray[np.intp]
 
 _STRIDES_S = (0.016, 0.033, 0.06)
 _MOST_SEEDS = 1500
-_FINALISTS = 40
+_FINALISTS = 60
+_LEAST_GROWN = 5
 _LEAST_FRAMES = 6
 _ENOUGH_FRAMES = 30
 _COLOUR_APART = 70.0
@@ -97,7 +98,7 @@ def _longest_towards(table: Candidates, down: Array) -> Arc | None:
     tried = []
     for index, seed in enumerate(seeds):
         arc = _grow(table, seed, 1)
-        if arc is not None:
+        if arc is not None and len(arc.frames) >= _LEAST_GROWN:
             tried.append((_score(table, arc), index))
     best, best_score = None, 0.0
     for _, index in sorted(tried, reverse=True)[:_FINALISTS]:

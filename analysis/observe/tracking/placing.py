@@ -25,6 +25,7 @@ FINE_PX = 9.0
 
 _MOST_STEPS = 10
 _ENOUGH_PX = 0.01
+_NEAR_START = 0.25
 _LARGE, _LARGE_SHARE, _AT_FIRST, _STRICTER = 30.0, 0.35, 4.0, 0.65
 """Residuals that count little: at first only the largest, or there would be no pull to the edge."""
 
@@ -99,6 +100,8 @@ class Appearance:
         start = np.array([*patch.here(x, y), np.log(grown), 0.0, 0.0, 0.0])
         start = self.nearest(patch, start)
         values, misfit = self.fit(patch, start, np.log(grown))
+        if np.hypot(*(values - start)[:2]) > _NEAR_START * self.radius_px * self.zoom:
+            values, misfit = self.fit(patch, values, np.log(grown))  # it was a long way
         px, py = patch.there(values[0], values[1])
         if np.hypot(px - x, py - y) > 1.2 * self.radius_px * grown + 2:
             return None
