@@ -104,7 +104,7 @@ class _Mp4:
             width, height = height, width
         self._size = (width // 2 * 2, height // 2 * 2)  # colours are stored for two by two pixels
         self._container = av.open(str(path), "w")
-        options = {"crf": str(order.quality), "preset": "ultrafast"}
+        options = {"crf": str(order.h264_factor), "preset": "ultrafast"}
         stream: Any = self._container.add_stream("libx264", rate=30, options=options)
         stream.width, stream.height = self._size
         stream.pix_fmt = "yuv420p"
@@ -139,7 +139,7 @@ class _Log:
 
     def __init__(self, order: ClipOrder, path: Path) -> None:
         self._writer = EpisodeWriter(path, EpisodeInfo(), live=False)
-        self._quality = order.quality
+        self._quality = order.jpeg_quality
 
     def add(self, picture: Picture, second: float) -> None:
         import cv2

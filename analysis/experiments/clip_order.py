@@ -82,7 +82,8 @@ class ClipOrder:
         hand: None where the ball is held by nothing that shows.
         person: None where nobody comes.
         as_log: recorded to MCAP as JPEGs; else to mp4 as H.264.
-        quality: of JPEG (of 100) or H.264 (constant rate factor, smaller is better).
+        jpeg_quality: of 100.
+        h264_factor: constant rate factor; smaller is better.
         pixel_seed: draws the noise.
     """
 
@@ -99,7 +100,8 @@ class ClipOrder:
     hand: Hand | None
     person: Person | None
     as_log: bool
-    quality: int
+    jpeg_quality: int
+    h264_factor: int
     pixel_seed: int
 
 
@@ -116,7 +118,6 @@ def draw_clip(seed: int, index: int) -> ClipOrder:
     look = _visible_look(rng, radius_m, view, stage, ball)
     fall_s = float(np.sqrt(2 * ball.drop_m / _GRAVITY_M_S2))
     rate_hz = float(rng.choice([30.0, 60.0, 120.0, rng.uniform(*RATES_HZ)]))
-    as_log = bool(rng.random() < 0.3)
     return ClipOrder(
         ball=ball,
         view=view,
@@ -130,8 +131,9 @@ def draw_clip(seed: int, index: int) -> ClipOrder:
         flicker=float(rng.choice([0.0, 0.0, 0.0, rng.uniform(0.0, 0.03)])),
         hand=_hand(rng) if rng.random() < 0.65 else None,
         person=_person(rng, fall_s) if rng.random() < 0.15 else None,
-        as_log=as_log,
-        quality=int(rng.integers(80, 96)) if as_log else int(rng.integers(16, 24)),
+        as_log=bool(rng.random() < 0.3),
+        jpeg_quality=int(rng.integers(80, 96)),
+        h264_factor=int(rng.integers(16, 24)),
         pixel_seed=int(rng.integers(2**31)),
     )
 

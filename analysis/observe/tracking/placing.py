@@ -1,9 +1,10 @@
 """Where the ball is to a small part of a pixel: its own picture over the background, fitted.
 
-A pixel is background B and ball P in the shares that the outline gives: (1 - a) B + a P. The ball's
-picture moves, grows and takes more or less light until that is what is seen. So a ball that looks
-like a part of what is behind it, its shadow, its reflection and a hand that holds it do not pull its
-centre: they are residuals, and large ones count little (Geman and McClure's weights, at first wide).
+A pixel is background B and ball P in the shares that the outline gives: (1 - a) B + a P. The
+ball's picture moves, grows and takes more or less light until that is what is seen. So a ball that
+looks like a part of what is behind it, its shadow, its reflection and a hand that holds it do not
+pull its centre: they are residuals, and large ones count little (Geman and McClure's weights, at
+first wide).
 """
 
 from __future__ import annotations

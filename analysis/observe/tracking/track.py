@@ -9,30 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.observe.tracking.arcs import Arc, Candidates, longest_arc, tabulate
-from analysis.observe.tracking.background import (
-    still_background,
-    without_ball,
-)
+from analysis.observe.tracking.background import still_background
 from analysis.observe.tracking.blobs import Blobs, hsv_blobs, moving_blobs
-from analysis.observe.tracking.following import (
-    LEAST_SEEN,
-    flying,
-    follow,
-    hiding_places,
-    look_of,
-    same_arc,
-    still_places,
-)
-from analysis.observe.tracking.learning import learn_appearance
-from analysis.observe.tracking.looking import Eye
+from analysis.observe.tracking.following import LEAST_SEEN, follow, look_of, same_arc
 from analysis.observe.tracking.pictures import Pictures
+from analysis.observe.tracking.second_look import look_again, picked
 from tunenet_logs.errors import NotFoundError
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
-_HIDDEN = 2.5
-_MISSED = 1.2
+_MOVED_PX = 1.0
 _NEAR_PX = 50
 """From a mark to the edge of what it marks, in the reduced picture: it need not be exact."""
 
@@ -63,7 +50,7 @@ class Track:
     """Where the ball is in each picture.
 
     Attributes:
-        stamps_ns: of all pictures, shape (T,).
+        stamps_ns: of all pictures but those that repeat the one before, shape (T,).
         places_px: x right, y down; the first pixel's centre is 0, 0; shape (T, 2); NaN where the
             ball is not found.
         radius_px: shape (T,); NaN likewise.
@@ -115,28 +102,11 @@ def track_ball(pictures: Pictures, hints: Hints | None = None) -> Track:
     if hints.ball_at is not None:
         table = _only_like(table, pictures, hints.ball_at)
     arc = _arc_of(table)
-    look = look_of(table, arc)
-    chosen, _ = follow(table, arc, look)
-    places = _filled(_chosen(table.places_px, chosen))
-    areas = _chosen(table.areas_px, chosen)
-    shown, end = flying(arc, chosen, places, look)
-    still = still_places(seconds, arc, places, end)
-    crops = pictures.some(shown)
-    numbers, all_of = [*pictures.sampled, *shown], [*pictures.samples, *crops]
-    maybe = [hiding_places(number, arc, places, still, look) for number in numbers]
-    clear = without_ball(all_of, maybe, _HIDDEN * look.radius_px + 2)
-    ball = learn_appearance(crops, clear, places[shown], areas[shown])
-    if ball is not None and ball.radius_px > _MISSED * look.radius_px:
-        clear = without_ball(all_of, maybe, _HIDDEN * ball.radius_px + 2)
-        ball = learn_appearance(crops, clear, places[shown], areas[shown])
-    del crops, all_of
-    eye = Eye(clear, look, ball, allowed)
-    looked = [eye.find(*one) for one in zip(pictures, places, still, strict=True)]
-    table = tabulate(seconds, looked)
-    arc = same_arc(table, arc, places)
-    look = look_of(table, arc)
-    chosen, cost = follow(table, arc, look)
-    return _track(pictures, table, chosen, cost, arc)
+    second = look_again(pictures, table, arc, allowed)
+    table = second.table
+    arc = same_arc(table, arc, second.before_px)
+    chosen, cost = follow(table, arc, look_of(table, arc))
+    return _once(_track(pictures, table, chosen, cost, arc), second.unchanged)
 
 
 def _arc_of(table: Candidates) -> Arc:
@@ -177,13 +147,13 @@ def _only_like(
 def _track(
     pictures: Pictures, table: Candidates, chosen: NDArray[np.intp], cost: Array, arc: Arc
 ) -> Track:
-    places = _chosen(table.places_px, chosen)
-    areas = _chosen(table.areas_px, chosen)
-    cut = ~_chosen(table.whole.astype(float), chosen).astype(bool)  # at the edge: half a ball
+    places = picked(table.places_px, chosen)
+    areas = picked(table.areas_px, chosen)
+    cut = ~picked(table.whole.astype(float), chosen).astype(bool)  # at the edge: half a ball
     places[cut], areas[cut] = np.nan, np.nan
     if np.isfinite(areas).sum() < LEAST_SEEN:
         raise NotFoundError("the ball is lost after a few pictures (mark it with --roi or --hsv)")
-    red, green, blue = np.nanmedian(_chosen(table.colours, chosen), axis=0).round().astype(int)
+    red, green, blue = np.nanmedian(picked(table.colours, chosen), axis=0).round().astype(int)
     scale = pictures.scale
     return Track(
         stamps_ns=pictures.stamps_ns,
@@ -196,14 +166,26 @@ def _track(
     )
 
 
-def _chosen(values: Array, chosen: NDArray[np.intp]) -> Array:
-    picked = values[np.arange(len(chosen)), np.maximum(chosen, 0)].astype(np.float64)
-    picked[chosen < 0] = np.nan
-    return picked
+def _once(track: Track, unchanged: NDArray[np.bool_]) -> Track:
+    """Without the pictures that show a moving ball where it was: the one before, once more.
 
-
-def _filled(places: Array) -> Array:
-    """Gaps filled, and the ends held."""
-    known = np.flatnonzero(np.isfinite(places[:, 0]))
-    numbers = np.arange(len(places))
-    return np.column_stack([np.interp(numbers, known, places[known, axis]) for axis in (0, 1)])
+    Phones double pictures, and cameras freeze. A ball that lies moves neither before nor after; one
+    that bounces may be seen twice in one place, but goes back.
+    """
+    steps = np.diff(track.places_px, axis=0)  # NaN is no step
+    kept = np.ones(len(unchanged), dtype=bool)
+    edges = np.diff(np.concatenate([[False], unchanged, [False]]).astype(int))
+    for first, end in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
+        if first < 2 or end == len(unchanged):
+            continue
+        before, after = steps[first - 2], steps[end - 1]
+        least = min(np.linalg.norm(before), np.linalg.norm(after))
+        if least > _MOVED_PX and before @ after > 0:
+            kept[first:end] = False
+    return replace(
+        track,
+        stamps_ns=track.stamps_ns[kept],
+        places_px=track.places_px[kept],
+        radius_px=track.radius_px[kept],
+        confidence=track.confidence[kept],
+    )
