@@ -128,10 +128,14 @@ def clip_result(seed: int, index: int) -> ClipResult:
 def transformed_result(seed: int, index: int) -> TransformedClip:
     """One clip in all versions."""
     order = draw_clip(seed, index)
+    return TransformedClip(seed, index, order.ball.restitution, version_estimates(order))
+
+
+def version_estimates(order: ClipOrder) -> tuple[float | None, ...]:
+    """What each of `VERSIONS` gives."""
     with tempfile.TemporaryDirectory() as folder:
         paths = write_versions(order, Path(folder), VERSIONS)
-        estimates = tuple(_value(tune_log(path, Options())) for path in paths)
-    return TransformedClip(seed, index, order.ball.restitution, estimates)
+        return tuple(_value(tune_log(path, Options())) for path in paths)
 
 
 def track_errors_px(order: ClipOrder, track: Track) -> Array:

@@ -14,6 +14,9 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 _STRIDES_S = (0.016, 0.033, 0.06)
+_STRIDES = (1, 2, 4, 7)
+"""In pictures: how fast a film plays need not be how fast it was filmed."""
+
 _MOST_SEEDS = 1500
 _FINALISTS = 60
 _LEAST_GROWN = 5
@@ -111,7 +114,7 @@ def _longest_towards(table: Candidates, down: Array) -> Arc | None:
 def _seeds(table: Candidates, down: Array) -> Index:
     """Triples of alike candidates that accelerate downward: rows of 3 frames, 3 candidates."""
     period = float(np.median(np.diff(table.seconds)))
-    strides = sorted({max(1, round(stride / period)) for stride in _STRIDES_S})
+    strides = sorted({*_STRIDES, *(max(1, round(stride / period)) for stride in _STRIDES_S)})
     rows: list[Index] = []
     for stride in strides:
         for first in range(len(table.seconds) - 2 * stride):

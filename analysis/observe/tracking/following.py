@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 LEAST_SEEN = 8
 
 _LOST_S = 0.4
+_LOST_FRAMES = 12
 _RECENT = 4
 _MISFIT = 0.35
 _ALIKE_PLACES = 2
@@ -129,8 +130,9 @@ def _follow_on(
     span = seconds[last] - seconds[before]
     velocity = (place - table.places_px[before, picks[-2]]) / span + gravity * span / 2
     speeds = deque([float(np.linalg.norm(velocity))], maxlen=_RECENT)
+    patience = max(_LOST_S, _LOST_FRAMES * float(np.median(np.diff(seconds))))
     frame = last + step
-    while 0 <= frame < len(seconds) and abs(seconds[frame] - seconds[last]) < _LOST_S:
+    while 0 <= frame < len(seconds) and abs(seconds[frame] - seconds[last]) < patience:
         dt = seconds[frame] - seconds[last]
         expected = place + velocity * dt + gravity * dt**2 / 2
         # A bounce between two pictures makes the way between them short, and the next one long.

@@ -172,15 +172,16 @@ def _once(track: Track, unchanged: NDArray[np.bool_]) -> Track:
     Phones double pictures, and cameras freeze. A ball that lies moves neither before nor after; one
     that bounces may be seen twice in one place, but goes back.
     """
-    steps = np.diff(track.places_px, axis=0)  # NaN is no step
     kept = np.ones(len(unchanged), dtype=bool)
+    found = np.flatnonzero(track.found)
     edges = np.diff(np.concatenate([[False], unchanged, [False]]).astype(int))
     for first, end in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
-        if first < 2 or end == len(unchanged):
+        earlier, later = found[found < first], found[found >= end]
+        if len(earlier) < 2 or not len(later):
             continue
-        before, after = steps[first - 2], steps[end - 1]
-        least = min(np.linalg.norm(before), np.linalg.norm(after))
-        if least > _MOVED_PX and before @ after > 0:
+        before, here, after = track.places_px[[earlier[-2], earlier[-1], later[0]]]
+        came, went = here - before, after - here
+        if min(np.linalg.norm(came), np.linalg.norm(went)) > _MOVED_PX and came @ went > 0:
             kept[first:end] = False
     return replace(
         track,
