@@ -46,8 +46,8 @@ METHODS = (
 )
 """Those of `drop_roster`, which takes a second to load."""
 
-SECTIONS = ("set-A", "set-B", "set-C", "slope", "drag", "bad")
-"""Those of `video_cells`, which takes a second to load."""
+SECTIONS = ("set-A", "set-B", "set-C", "slope", "drag", "bad", "clips", "transformed")
+"""Those of `video_cells`, which takes a second to load, and of `clips`."""
 
 _METHODS_HELP = f"""\
 methods of the paper: {", ".join(METHODS[:6])}
@@ -206,6 +206,17 @@ def _intervals(
 def _video(
     arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
 ) -> tuple[Iterable[str], Writers]:
+    from math import ceil as round_up
+
+    from analysis.experiments.clip_tables import clip_table, transformed_table
+    from analysis.experiments.clips import (
+        COUNT,
+        TRANSFORMED,
+        ClipResult,
+        TransformedClip,
+        clip_results,
+        transformed_results,
+    )
     from analysis.experiments.video import VideoOrder, VideoRow, track_sections
     from analysis.experiments.video_cells import TRACK_SECTIONS, Section
     from analysis.experiments.video_records import video_csv, video_json
@@ -224,8 +235,23 @@ def _video(
             rows.extend(found)
             yield section, found
 
-    return video_blocks(order, sections()), {
-        "json": lambda path: _write(path, video_json(rows, order)),
+    clips: list[ClipResult] = []
+    transformed: list[TransformedClip] = []
+
+    def blocks() -> Iterator[str]:
+        if chosen:
+            yield from video_blocks(order, sections())
+        seed, share = seeds[0], min(arguments.targets / _TARGETS["video"], 1.0)
+        if "clips" in wanted:
+            clips.extend(clip_results(seed, round_up(COUNT * share), order.jobs, progress))
+            yield clip_table(clips)
+        if "transformed" in wanted:
+            count = round_up(TRANSFORMED * share)
+            transformed.extend(transformed_results(seed, count, order.jobs, progress))
+            yield transformed_table(transformed)
+
+    return blocks(), {
+        "json": lambda path: _write(path, video_json(rows, order, clips, transformed)),
         "csv": lambda path: _write(path, video_csv(rows)),
     }
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, fields
 from typing import Any
 
+from analysis.experiments.clips import ClipResult, TransformedClip
 from analysis.experiments.records import csv_text, json_text
 from analysis.experiments.video import VideoFigures, VideoOrder, VideoRow
 
@@ -18,10 +19,20 @@ def video_records(rows: Sequence[VideoRow]) -> list[dict[str, Any]]:
     return [{"section": row.section, "tracks": row.label, **asdict(row.figures)} for row in rows]
 
 
-def video_json(rows: Sequence[VideoRow], order: VideoOrder) -> str:
-    """Every figure; null where there is none."""
+def video_json(
+    rows: Sequence[VideoRow],
+    order: VideoOrder,
+    clips: Sequence[ClipResult] = (),
+    transformed: Sequence[TransformedClip] = (),
+) -> str:
+    """Every figure, and what came of each clip; null where there is none."""
     head = {"experiment": "video", "seeds": list(order.seeds), "targets": order.targets}
-    return json_text({**head, "rows": video_records(rows)})
+    tables = {
+        "rows": video_records(rows),
+        "clips": [asdict(one) for one in clips],
+        "transformed": [{**asdict(one), "spread": one.spread} for one in transformed],
+    }
+    return json_text({**head, **tables})
 
 
 def video_csv(rows: Sequence[VideoRow]) -> str:

@@ -24,7 +24,7 @@ RESTITUTION = Parameter(
 _LIMITS = {
     "gap_m": (0.01, 1000.0, "m"),
     "radius_m": (0.001, 10.0, "m"),
-    "rate_hz": (5.0, 20_000.0, "Hz"),
+    "rate_hz": (1.0, 20_000.0, "Hz"),
     "samples": (2, 1_000_000, ""),
     "hold_s": (0.0, 600.0, "s"),
 }

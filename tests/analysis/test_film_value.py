@@ -56,8 +56,7 @@ def test_a_restitution_that_falls_with_speed():
 
 
 def in_air(number: int) -> Shot:
-    drag_1_m = TENNIS_TABLE.drag_1_m
-    assert drag_1_m is not None
+    drag_1_m = TENNIS_TABLE.drag_1_m or 0.0
     light = TrackSet("light", (0.5, 2.0), 0.02)
     return draw_shot(light, Balls((0.5, 0.9), drag_1_m=drag_1_m), 0.3, SEED, number)
 

@@ -14,8 +14,12 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 _STRIDES_S = (0.016, 0.033, 0.06)
+_STRIDES = (1, 2, 4, 7)
+"""In pictures: how fast a film plays need not be how fast it was filmed."""
+
 _MOST_SEEDS = 1500
-_FINALISTS = 40
+_FINALISTS = 60
+_LEAST_GROWN = 5
 _LEAST_FRAMES = 6
 _ENOUGH_FRAMES = 30
 _COLOUR_APART = 70.0
@@ -49,6 +53,7 @@ class Candidates:
         areas_px: shape (T, M).
         colours: shape (T, M, 3).
         whole: shape (T, M).
+        misfits: shape (T, M).
     """
 
     seconds: Array
@@ -56,6 +61,7 @@ class Candidates:
     areas_px: Array
     colours: Array
     whole: NDArray[np.bool_]
+    misfits: Array
 
 
 def tabulate(seconds: Array, blobs: Sequence[Blobs]) -> Candidates:
@@ -65,12 +71,14 @@ def tabulate(seconds: Array, blobs: Sequence[Blobs]) -> Candidates:
     areas = np.full((len(blobs), most), np.nan)
     colours = np.full((len(blobs), most, 3), np.nan)
     whole = np.zeros((len(blobs), most), dtype=bool)
+    misfits = np.zeros((len(blobs), most))
     for index, one in enumerate(blobs):
         places[index, : len(one)] = one.places_px
         areas[index, : len(one)] = one.areas_px
         colours[index, : len(one)] = one.colours
         whole[index, : len(one)] = one.whole
-    return Candidates(seconds, places, areas, colours, whole)
+        misfits[index, : len(one)] = one.misfits
+    return Candidates(seconds, places, areas, colours, whole, misfits)
 
 
 def longest_arc(table: Candidates) -> Arc | None:
@@ -93,7 +101,7 @@ def _longest_towards(table: Candidates, down: Array) -> Arc | None:
     tried = []
     for index, seed in enumerate(seeds):
         arc = _grow(table, seed, 1)
-        if arc is not None:
+        if arc is not None and len(arc.frames) >= _LEAST_GROWN:
             tried.append((_score(table, arc), index))
     best, best_score = None, 0.0
     for _, index in sorted(tried, reverse=True)[:_FINALISTS]:
@@ -106,7 +114,7 @@ def _longest_towards(table: Candidates, down: Array) -> Arc | None:
 def _seeds(table: Candidates, down: Array) -> Index:
     """Triples of alike candidates that accelerate downward: rows of 3 frames, 3 candidates."""
     period = float(np.median(np.diff(table.seconds)))
-    strides = sorted({max(1, round(stride / period)) for stride in _STRIDES_S})
+    strides = sorted({*_STRIDES, *(max(1, round(stride / period)) for stride in _STRIDES_S)})
     rows: list[Index] = []
     for stride in strides:
         for first in range(len(table.seconds) - 2 * stride):

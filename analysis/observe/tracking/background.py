@@ -14,6 +14,9 @@ Array = NDArray[np.float32]
 _LEAST_DIFFERENCE = 14
 _NOISE_FACTOR = 5.0
 _GRID = 7
+_STRIP = 32
+_SMOOTHER = 2.0
+"""By about as much is noise less in a smooth picture."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,20 +25,23 @@ class Background:
 
     Attributes:
         picture: uint8, shape (H, W, 3).
-        threshold: uint8, shape (H, W): noise, flicker and the shaking of a hand-held camera.
+        smooth: the same, each pixel the mean of three by three.
+        threshold: uint8, shape (H, W): noise, flicker and the shaking of a hand-held camera, of
+            smooth pictures.
     """
 
     picture: Picture
+    smooth: Picture
     threshold: Picture
 
     def difference(self, picture: Picture) -> Picture:
-        """Largest difference of the three colours, the light's changes taken out, shape (H, W)."""
+        """Largest difference of the smooth colours, but for the light's changes, shape (H, W)."""
         import cv2
 
-        same = cv2.convertScaleAbs(picture, alpha=self._gain(picture))
-        return _strongest(np.asarray(cv2.absdiff(same, self.picture), np.uint8))
+        same = cv2.convertScaleAbs(_smooth(picture), alpha=self.gain(picture))
+        return _strongest(_apart(np.asarray(same, np.uint8), self.smooth))
 
-    def _gain(self, picture: Picture) -> float:
+    def gain(self, picture: Picture) -> float:
         """How much brighter the still picture is, by most of its pixels."""
         mine = self.picture[::_GRID, ::_GRID].astype(np.float32)
         theirs = picture[::_GRID, ::_GRID].astype(np.float32)
@@ -50,45 +56,98 @@ def still_background(samples: Sequence[Picture]) -> Background:
         samples: uint8, shape (H, W, 3) each.
     """
     picture, spread = _median_and_spread(samples)
-    return Background(picture, _threshold(spread))
+    return Background(picture, _smooth(picture), _threshold(spread))
 
 
 def _median_and_spread(samples: Sequence[Picture]) -> tuple[Picture, Array]:
-    stack = np.stack(samples)
-    median = np.median(stack, axis=0).astype(np.uint8)
+    median = np.empty(samples[0].shape, np.uint8)
     spread = np.empty(median.shape[:2], np.float32)
-    for row in range(len(median)):  # the whole stack at once would take much memory
-        off = np.abs(stack[:, row].astype(np.int16) - median[row].astype(np.int16))
-        spread[row] = np.median(
-            np.maximum(np.maximum(off[..., 0], off[..., 1]), off[..., 2]), axis=0
-        )
+    for top in range(0, len(median), _STRIP):  # the whole stack at once would take much memory
+        strip = slice(top, top + _STRIP)
+        values = [sample[strip] for sample in samples]
+        median[strip] = middle = middle_of(values)
+        still = _smooth(middle)
+        spread[strip] = middle_of([_strongest(_apart(_smooth(one), still)) for one in values])
     return median, spread
 
 
+def middle_of(stack: Sequence[Picture]) -> Picture:
+    """The median, pixel by pixel, of N pictures, the lower one of an even N.
+
+    Batcher's odd-even merge sort, each comparison made for all pixels at once (Knuth 1998, 5.2.2,
+    algorithm M): many times as quick as sorting pixel by pixel.
+    """
+    count = len(stack)
+    rows = list(stack)
+    power = 1 << max(count - 1, 0).bit_length()
+    step = power // 2
+    while step:
+        apart, mask, least = step, power // 2, 0
+        while True:
+            for at in range(count - apart):
+                if at & step == least:
+                    low, high = rows[at], rows[at + apart]
+                    rows[at], rows[at + apart] = np.minimum(low, high), np.maximum(low, high)
+            if mask == step:
+                break
+            apart, mask, least = mask - step, mask // 2, step
+        step //= 2
+    return rows[(count - 1) // 2]
+
+
 def without_ball(
-    samples: Sequence[Picture], places_px: NDArray[np.float64], radius_px: float
+    samples: Sequence[Picture], places_px: Sequence[NDArray[np.float64]], radius_px: float
 ) -> Background:
     """The background with the ball left out of each sample: it may rest in one place for long.
 
     Args:
         samples: uint8, shape (H, W, 3) each.
-        places_px: where the ball is in each, shape (N, 2).
+        places_px: where the ball may be in each, shape (K, 2); NaN for nowhere.
         radius_px: of what to leave out.
     """
     picture, spread = _median_and_spread(samples)
-    rows, columns = np.mgrid[: picture.shape[0], : picture.shape[1]]
-    hidden = np.zeros((len(samples), *picture.shape[:2]), dtype=bool)
-    for at, (x, y) in enumerate(places_px):
-        if np.isfinite(x):
-            hidden[at] = (columns - x) ** 2 + (rows - y) ** 2 < radius_px**2
-    touched = hidden.any(axis=0) & ~hidden.all(axis=0)
+    height, width = picture.shape[:2]
+    known = np.concatenate([one[np.isfinite(one[:, 0])] for one in places_px])
+    if not len(known):
+        return Background(picture, _smooth(picture), _threshold(spread))
+    left, top = np.clip(np.floor(known.min(axis=0) - radius_px).astype(int), 0, [width, height])
+    right, bottom = np.clip(
+        np.ceil(known.max(axis=0) + radius_px).astype(int) + 1, 0, [width, height]
+    )
+    rows, columns = np.mgrid[top:bottom, left:right]
+    hidden = np.zeros((len(samples), *rows.shape), dtype=bool)
+    for at, places in enumerate(places_px):
+        for x, y in places[np.isfinite(places[:, 0])]:
+            hidden[at] |= (columns - x) ** 2 + (rows - y) ** 2 < radius_px**2
+    often = hidden.sum(axis=0)
+    touched = (often > 0) & (often < len(samples))
     if touched.any():
-        values = np.stack([sample[touched] for sample in samples]).astype(np.float32)
-        values[hidden[:, touched]] = np.nan
-        middle = np.nanmedian(values, axis=0)
-        picture[touched] = middle.astype(np.uint8)
-        spread[touched] = np.nanmedian(np.abs(values - middle).max(axis=2), axis=0)
-    return Background(picture, _threshold(spread))
+        where = rows[touched], columns[touched]
+        values = np.stack([sample[where] for sample in samples]).astype(np.float32)
+        values[hidden[:, touched]] = np.inf  # sorted to the end, and not counted
+        values.sort(axis=0)
+        middle = np.take_along_axis(
+            values, ((len(samples) - often[touched] - 1) // 2)[None, :, None], 0
+        )[0]
+        picture[where] = middle.astype(np.uint8)
+        off = np.abs(values - middle).max(axis=2) / _SMOOTHER
+        off.sort(axis=0)
+        spread[where] = np.take_along_axis(
+            off, ((len(samples) - often[touched] - 1) // 2)[None], 0
+        )[0]
+    return Background(picture, _smooth(picture), _threshold(spread))
+
+
+def _smooth(picture: Picture) -> Picture:
+    import cv2
+
+    return np.asarray(cv2.blur(picture, (3, 3)), np.uint8)
+
+
+def _apart(one: Picture, other: Picture) -> Picture:
+    import cv2
+
+    return np.asarray(cv2.absdiff(one, other), np.uint8)
 
 
 def _strongest(colours: Picture) -> Picture:

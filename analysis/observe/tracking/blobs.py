@@ -14,6 +14,8 @@ Array = NDArray[np.float64]
 
 _MOST = 12
 _LEAST_AREA_PX = 5
+_LEAST_OUTLINE = 4
+_MOST_LOOKED_AT = 40
 _ALIKE = 0.06
 """Squared sine of the angle between two differences of colour that cannot be told apart."""
 
@@ -33,14 +35,14 @@ class Blobs:
         areas_px: shape (N,).
         colours: mean RGB, shape (N, 3).
         whole: whether it ends inside the picture, shape (N,).
-        sizes_px: width and height, shape (N, 2).
+        misfits: what speaks against each being the ball, where its picture is known; shape (N,).
     """
 
     places_px: Array
     areas_px: Array
     colours: Array
     whole: NDArray[np.bool_]
-    sizes_px: Array
+    misfits: Array
 
     def __len__(self) -> int:
         return len(self.areas_px)
@@ -71,7 +73,7 @@ def moving_blobs(picture: Picture, background: Background, allowed: Picture | No
     mask = difference > background.threshold
     if allowed is not None:
         mask &= allowed.astype(bool)
-    return _components(picture, mask.astype(np.uint8), difference.astype(np.float32))
+    return _components(picture, mask.astype(np.uint8), difference)
 
 
 def coloured_blobs(
@@ -128,31 +130,34 @@ def _ball_share(
     return np.clip(share, 0.0, 1.0)
 
 
-def _components(picture: Picture, mask: Picture, weight: NDArray[np.float32]) -> Blobs:
+def _components(picture: Picture, mask: Picture, weight: NDArray[np.float32] | Picture) -> Blobs:
     import cv2
 
     closed = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
-    mask = np.asarray(closed, np.uint8)
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    outlines, _ = cv2.findContours(closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    boxes = [(cv2.boundingRect(one), one) for one in outlines if len(one) >= _LEAST_OUTLINE]
+    boxes.sort(key=lambda one: one[0][2] * one[0][3], reverse=True)
     height, width = mask.shape
     rows: list[tuple[float, ...]] = []
-    for label in range(1, count):
-        left, top, wide, tall, area = (int(value) for value in stats[label])
-        if not _LEAST_AREA_PX <= area <= _BIG * mask.size:
-            continue
+    for (left, top, wide, tall), outline in boxes[:_MOST_LOOKED_AT]:
         box = slice(top, top + tall), slice(left, left + wide)
-        part = labels[box] == label
-        mass = np.where(part, weight[box], 0.0)
+        filled = np.zeros((tall, wide), np.uint8)
+        cv2.drawContours(filled, [outline], 0, 1, -1, offset=(-left, -top))
+        part = np.asarray(closed)[box].astype(bool) & filled.astype(bool)
+        if not _LEAST_AREA_PX <= part.sum() <= _BIG * mask.size:
+            continue
+        mass = np.where(part, weight[box], 0).astype(np.float32)
         total = float(mass.sum())
         if total <= 0:
             continue
-        ys, xs = np.mgrid[box[0], box[1]]
+        x = float(mass.sum(axis=0) @ np.arange(left, left + wide)) / total
+        y = float(mass.sum(axis=1) @ np.arange(top, top + tall)) / total
         core = mass > 0.6 * mass.max()
         colour = picture[box][core].mean(axis=0)
         whole = left > 0 and top > 0 and left + wide < width and top + tall < height
-        x, y = float((mass * xs).sum() / total), float((mass * ys).sum() / total)
-        soft = total / float(mass.max()) if weight.max() > 1 else total
-        rows.append((total, x, y, max(soft, 1.0), *colour, float(whole), wide, tall))
+        soft = total / float(mass.max()) if weight.dtype == np.uint8 else total
+        rows.append((total, x, y, max(soft, 1.0), *colour, float(whole)))
     rows.sort(reverse=True)
-    table = np.array(rows[:_MOST], np.float64).reshape(-1, 10)
-    return Blobs(table[:, 1:3], table[:, 3], table[:, 4:7], table[:, 7] > 0, table[:, 8:10])
+    table = np.array(rows[:_MOST], np.float64).reshape(-1, 8)
+    none = np.zeros(len(table))
+    return Blobs(table[:, 1:3], table[:, 3], table[:, 4:7], table[:, 7] > 0, none)

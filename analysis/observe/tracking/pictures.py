@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import suppress
 
 import numpy as np
@@ -97,6 +97,21 @@ class Pictures:
         for index, frame in self._selected():
             if index in self._kept:
                 yield self._reduced(frame.decode())
+
+    def some(self, numbers: Collection[int]) -> list[Picture]:
+        """Those of these numbers (of `stamps_ns`), in order; the others are not decoded."""
+        wanted = set(numbers)
+        found: list[Picture] = []
+        number = -1
+        for index, frame in self._selected():
+            if index not in self._kept:
+                continue
+            number += 1
+            if number in wanted:
+                found.append(self._reduced(frame.decode()))
+            if len(found) == len(wanted):
+                break
+        return found
 
     def allowed(self, roi: tuple[int, int, int, int] | None) -> Picture | None:
         """Where the ball may be: 1 inside the box, 0 outside; None for everywhere.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -10,20 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.observe.tracking.arcs import Arc, Candidates, longest_arc, tabulate
-from analysis.observe.tracking.background import (
-    still_background,
-    without_ball,
-)
-from analysis.observe.tracking.blobs import Blobs, Look, coloured_blobs, hsv_blobs, moving_blobs
+from analysis.observe.tracking.background import still_background
+from analysis.observe.tracking.blobs import Blobs, hsv_blobs, moving_blobs
+from analysis.observe.tracking.following import LEAST_SEEN, follow, look_of, same_arc
 from analysis.observe.tracking.pictures import Pictures
+from analysis.observe.tracking.second_look import look_again, picked
 from tunenet_logs.errors import NotFoundError
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
-_LOST_S = 0.4
-_LEAST_SEEN = 8
-_RECENT = 4
+_MOVED_PX = 1.0
 _NEAR_PX = 50
 """From a mark to the edge of what it marks, in the reduced picture: it need not be exact."""
 
@@ -54,7 +50,7 @@ class Track:
     """Where the ball is in each picture.
 
     Attributes:
-        stamps_ns: of all pictures, shape (T,).
+        stamps_ns: of all pictures but those that repeat the one before, shape (T,).
         places_px: x right, y down; the first pixel's centre is 0, 0; shape (T, 2); NaN where the
             ball is not found.
         radius_px: shape (T,); NaN likewise.
@@ -87,7 +83,7 @@ def track_ball(pictures: Pictures, hints: Hints | None = None) -> Track:
     """
     hints = hints or Hints()
     stamps_ns = pictures.stamps_ns
-    if len(stamps_ns) < _LEAST_SEEN:
+    if len(stamps_ns) < LEAST_SEEN:
         raise NotFoundError(f"{len(stamps_ns)} pictures are too few for a drop")
     seconds = (stamps_ns - stamps_ns[0]).astype(np.float64) * 1e-9
     allowed = pictures.allowed(hints.roi)
@@ -100,21 +96,17 @@ def track_ball(pictures: Pictures, hints: Hints | None = None) -> Track:
         low, high = (np.array(one) for one in hints.hsv)
         table = candidates(lambda one: hsv_blobs(one, low, high, allowed))
         arc = _arc_of(table)
-        chosen, cost = _follow(table, arc, _look(table, arc))
+        chosen, cost = follow(table, arc, look_of(table, arc))
         return _track(pictures, table, chosen, cost, arc)
     table = candidates(lambda one: moving_blobs(one, background, allowed))
     if hints.ball_at is not None:
         table = _only_like(table, pictures, hints.ball_at)
     arc = _arc_of(table)
-    look = _look(table, arc)
-    chosen, _ = _follow(table, arc, look)
-    places = _filled(_chosen(table.places_px, chosen))
-    clear = without_ball(pictures.samples, places[pictures.sampled], 2.5 * look.radius_px + 2)
-    table = candidates(lambda one: coloured_blobs(one, clear, look, allowed))
-    arc = _same_arc(table, arc, places)
-    look = _look(table, arc)
-    chosen, cost = _follow(table, arc, look)
-    return _track(pictures, table, chosen, cost, arc)
+    second = look_again(pictures, table, arc, allowed)
+    table = second.table
+    arc = same_arc(table, arc, second.before_px)
+    chosen, cost = follow(table, arc, look_of(table, arc))
+    return _once(_track(pictures, table, chosen, cost, arc), second.unchanged)
 
 
 def _arc_of(table: Candidates) -> Arc:
@@ -152,103 +144,16 @@ def _only_like(
     return replace(table, areas_px=areas, places_px=places)
 
 
-def _same_arc(table: Candidates, arc: Arc, places: Array) -> Arc:
-    """The flight among new candidates."""
-    apart = np.linalg.norm(table.places_px[arc.frames] - places[arc.frames][:, None], axis=2)
-    apart = np.where(np.isfinite(apart), apart, np.inf)
-    if not apart.size:
-        raise NotFoundError("the ball looks like what is behind it (mark it with --hsv)")
-    nearest = apart.argmin(axis=1)
-    area = float(np.nanmedian(table.areas_px[arc.frames, nearest]))
-    near = apart[np.arange(len(nearest)), nearest] < 2 + np.sqrt(area / np.pi)
-    if near.sum() < 3:
-        raise NotFoundError("the ball looks like what is behind it (mark it with --hsv)")
-    return Arc(arc.frames[near], nearest[near], arc.gravity_px)
-
-
-def _look(table: Candidates, arc: Arc) -> Look:
-    colours = table.colours[arc.frames, arc.chosen]
-    areas = table.areas_px[arc.frames, arc.chosen]
-    return Look(np.median(colours, axis=0), float(np.median(areas)))
-
-
-def _follow(table: Candidates, arc: Arc, look: Look) -> tuple[NDArray[np.intp], Array]:
-    """From the middle of the flight on, to both ends of the recording.
-
-    Returns:
-        The candidate of each picture (-1 for none) and what speaks against it, shapes (T,).
-    """
-    chosen = np.full(len(table.seconds), -1)
-    cost = np.full(len(table.seconds), np.inf)
-    margin = max((len(arc.frames) - _LEAST_SEEN) // 2, 0)  # an arc may miss some near its ends
-    middle = slice(margin, len(arc.frames) - margin)
-    core, core_picks = arc.frames[middle], arc.chosen[middle]
-    chosen[core] = core_picks
-    cost[core] = _unlike(table, core, core_picks, look)
-    for step in (1, -1):
-        frames, picks = core[::step], core_picks[::step]
-        _follow_on(table, frames, picks, arc.gravity_px, look, step, chosen, cost)
-    return chosen, cost
-
-
-def _follow_on(
-    table: Candidates,
-    frames: NDArray[np.intp],
-    picks: NDArray[np.intp],
-    gravity: Array,
-    look: Look,
-    step: int,
-    chosen: NDArray[np.intp],
-    cost: Array,
-) -> None:
-    radius = look.radius_px
-    last, before = int(frames[-1]), int(frames[-2])
-    place = table.places_px[last, picks[-1]]
-    seconds = table.seconds
-    span = seconds[last] - seconds[before]
-    velocity = (place - table.places_px[before, picks[-2]]) / span + gravity * span / 2
-    speeds = deque([float(np.linalg.norm(velocity))], maxlen=_RECENT)
-    frame = last + step
-    while 0 <= frame < len(seconds) and abs(seconds[frame] - seconds[last]) < _LOST_S:
-        dt = seconds[frame] - seconds[last]
-        expected = place + velocity * dt + gravity * dt**2 / 2
-        # A bounce between two pictures makes the way between them short, and the next one long.
-        speed = max(speeds) + float(np.linalg.norm(gravity)) * abs(dt)
-        off = np.linalg.norm(table.places_px[frame] - expected, axis=1)
-        moved = np.linalg.norm(table.places_px[frame] - place, axis=1)
-        reach = 1.3 * speed * abs(dt) + radius + 2
-        near = np.minimum((off / (radius + 1)) ** 2, 4.0)  # a bounce is not what was expected
-        against = near + _unlike(table, np.full(len(off), frame), np.arange(len(off)), look)
-        against = np.where(moved < reach, against, np.inf)
-        against = np.where(np.isfinite(against), against, np.inf)
-        best = int(against.argmin()) if len(against) else -1
-        if best >= 0 and against[best] < 12:
-            new = table.places_px[frame, best]
-            velocity = (new - place) / dt + gravity * dt / 2
-            speeds.append(float(np.linalg.norm(velocity)))
-            place, last = new, frame
-            chosen[frame], cost[frame] = best, against[best]
-        frame += step
-
-
-def _unlike(
-    table: Candidates, frames: NDArray[np.intp], picks: NDArray[np.intp], look: Look
-) -> Array:
-    colour = np.linalg.norm(table.colours[frames, picks] - look.colour, axis=1) / 45
-    size = np.log(table.areas_px[frames, picks] / look.area_px) / 0.6
-    return colour**2 + size**2
-
-
 def _track(
     pictures: Pictures, table: Candidates, chosen: NDArray[np.intp], cost: Array, arc: Arc
 ) -> Track:
-    places = _chosen(table.places_px, chosen)
-    areas = _chosen(table.areas_px, chosen)
-    cut = ~_chosen(table.whole.astype(float), chosen).astype(bool)  # at the edge: half a ball
+    places = picked(table.places_px, chosen)
+    areas = picked(table.areas_px, chosen)
+    cut = ~picked(table.whole.astype(float), chosen).astype(bool)  # at the edge: half a ball
     places[cut], areas[cut] = np.nan, np.nan
-    if np.isfinite(areas).sum() < _LEAST_SEEN:
+    if np.isfinite(areas).sum() < LEAST_SEEN:
         raise NotFoundError("the ball is lost after a few pictures (mark it with --roi or --hsv)")
-    red, green, blue = np.nanmedian(_chosen(table.colours, chosen), axis=0).round().astype(int)
+    red, green, blue = np.nanmedian(picked(table.colours, chosen), axis=0).round().astype(int)
     scale = pictures.scale
     return Track(
         stamps_ns=pictures.stamps_ns,
@@ -261,14 +166,27 @@ def _track(
     )
 
 
-def _chosen(values: Array, chosen: NDArray[np.intp]) -> Array:
-    picked = values[np.arange(len(chosen)), np.maximum(chosen, 0)].astype(np.float64)
-    picked[chosen < 0] = np.nan
-    return picked
+def _once(track: Track, unchanged: NDArray[np.bool_]) -> Track:
+    """Without the pictures that show a moving ball where it was: the one before, once more.
 
-
-def _filled(places: Array) -> Array:
-    """Gaps filled, and the ends held."""
-    known = np.flatnonzero(np.isfinite(places[:, 0]))
-    numbers = np.arange(len(places))
-    return np.column_stack([np.interp(numbers, known, places[known, axis]) for axis in (0, 1)])
+    Phones double pictures, and cameras freeze. A ball that lies moves neither before nor after; one
+    that bounces may be seen twice in one place, but goes back.
+    """
+    kept = np.ones(len(unchanged), dtype=bool)
+    found = np.flatnonzero(track.found)
+    edges = np.diff(np.concatenate([[False], unchanged, [False]]).astype(int))
+    for first, end in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
+        earlier, later = found[found < first], found[found >= end]
+        if len(earlier) < 2 or not len(later):
+            continue
+        before, here, after = track.places_px[[earlier[-2], earlier[-1], later[0]]]
+        came, went = here - before, after - here
+        if min(np.linalg.norm(came), np.linalg.norm(went)) > _MOVED_PX and came @ went > 0:
+            kept[first:end] = False
+    return replace(
+        track,
+        stamps_ns=track.stamps_ns[kept],
+        places_px=track.places_px[kept],
+        radius_px=track.radius_px[kept],
+        confidence=track.confidence[kept],
+    )
