@@ -52,6 +52,9 @@ _REST_SEEN = 1.0
 _WHOLE_PX_NOISE, _LEAST_NOISE_PX = 0.45, 0.1
 """Rounding to whole pixels is no noise: a ball that lies still is always rounded the same way."""
 
+_STRAIGHT = 0.0015
+"""Of the span: what no lens is held to."""
+
 _USUAL = {SLOPE: 0.08, DRAG: 0.05}
 _ENDLESS = 0.995
 """A restitution that no ball has."""
@@ -113,7 +116,10 @@ def find_filmed_drop(
     drag_1_m = (ball.drag_1_m if ball and not fit_drag else None) or 0.0
     least_px = _WHOLE_PX_NOISE if is_whole(track.places_px[known]) else _LEAST_NOISE_PX
     noise_px = max(noise_of(along), least_px)
-    whole = Samples(seconds, along, noise_px, drag_1_m * CALIBRATED.gravity_m_s2 / 2)
+    bent_px = _STRAIGHT * span
+    bent = max(0.0, 1 - (noise_px / bent_px) ** 2)
+    noise_px = max(noise_px, bent_px)
+    whole = Samples(seconds, along, noise_px, bent, drag_1_m * CALIBRATED.gravity_m_s2 / 2)
     balls = (DRAGGED,) if fit_drag else (SLOPED,) if drag_1_m else (SLOPED, DRAGGED)
     fits = _best_fits(whole, balls)
     best = best_of(fits)

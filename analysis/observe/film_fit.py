@@ -46,6 +46,7 @@ class Samples:
         seconds: shape (T,).
         places_px: along the image's vertical, up positive, shape (T,).
         noise_px: standard deviation of a place, at least.
+        bent: share of its square that is no noise but what a lens may bend.
         drag_1_s2: drag [1/m] that is known, times half the gravity: with T0^2 times it, the drag
             times the drop height.
     """
@@ -53,6 +54,7 @@ class Samples:
     seconds: Array
     places_px: Array
     noise_px: float
+    bent: float = 0.0
     drag_1_s2: float = 0.0
 
     def bounce(self, unknowns: Array) -> Bounce:

@@ -127,7 +127,13 @@ class DropVideoTask:
         """See `Task.checks`."""
         assert last.look is not None
         assert found.film is not None
-        checks = recording_checks(found.drop, found.sideways_m, _MOST_GAP_FALLS)
+        fitted = found.drop.seconds >= found.film.best.samples.seconds[0]
+        drop = replace(
+            found.drop,
+            seconds=found.drop.seconds[fitted],
+            heights_m=found.drop.heights_m[fitted],
+        )
+        checks = recording_checks(drop, found.sideways_m[fitted], _MOST_GAP_FALLS)
         checks += film_checks(found.film)
         checks += scale_checks(found.film, *found.known_m)
         if not found.physical:  # z and y are not to be compared
