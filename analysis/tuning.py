@@ -239,7 +239,7 @@ def _preset(task: Task, options: Options) -> Preset:
 def _unrefined(options: Options, refined: Refined | None) -> tuple[str, ...]:
     if options.method != REFINED or refined is not None:
         return ()
-    return (f"method {REFINED} is for positions under the preset default; {NETWORK} was used",)
+    return (f"method {REFINED} is for the preset default; {NETWORK} was used",)
 
 
 def _initial(task: Task, options: Options) -> NDArray[np.float64]:

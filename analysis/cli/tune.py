@@ -66,7 +66,7 @@ def build_parser() -> Parser:
         "--method",
         choices=["tunenet+refine", "tunenet"],
         help="the network's steps and a least-squares fit after them, with an interval, or the "
-        "steps alone (default: the fit for positions under the preset default)",
+        "steps alone (default: the fit, under the preset default)",
     )
     add(
         "--iterations",
