@@ -35,7 +35,7 @@ CLIP = 6
 
 CLIP_S = 5.0
 LONGER = 10
-COUNT = 24
+COUNT = 12
 
 
 def the_clip(*, as_log: bool, longer: int = 1) -> ClipOrder:

@@ -24,8 +24,9 @@ _RADIUS_M = (0.012, 0.06)
 _FALLS = (5.0, 9.0)
 _LONGEST_S = 4.0
 _GRAVITY_M_S2 = 9.81
-_LEAST_CONTRAST = 30.0
-"""Of 255, in the colour that differs most, half-way of the fall: what a person can follow."""
+_LEAST_CONTRAST = (20.0, 30.0)
+"""Of 255, in the colour that differs most, on nearly all and on half of the way of the fall: what a
+person can follow."""
 
 
 @dataclass(frozen=True)
@@ -149,7 +150,8 @@ def _visible_look(
     look = _look(rng, radius_m)
     while True:
         mean = np.array(look.colour) * (look.ambient + 0.5 * (1 - look.ambient))
-        if np.median(np.abs(behind - mean).max(axis=1)) > _LEAST_CONTRAST:
+        apart = np.quantile(np.abs(behind - mean).max(axis=1), [0.15, 0.5])
+        if (apart > _LEAST_CONTRAST).all():
             return look
         look = replace(look, colour=_ball_colour(rng))
 

@@ -2,7 +2,8 @@
 
 Nothing of a clip's rig is told. Its ball is integrated from impact to impact (`bouncing_ball`)
 and drawn by rays (`clip_ball`): neither shares code with the tracker or the fit. A ball differs
-from what is behind it by at least 30 of 255 in one colour, or a person could not see it either.
+from what is behind it by 30 of 255 in one colour on half of its way, by 20 on nearly all of it: or
+a person could not follow it either.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ _LOST_FRAMES = 12
 _RECENT = 4
 _MISFIT = 0.35
 _ALIKE_PLACES = 2
-_MOST_SHOWN = 40
+_MOST_SHOWN = 24
 
 
 def same_arc(table: Candidates, arc: Arc, places: Array) -> Arc:

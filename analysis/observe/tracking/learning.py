@@ -16,7 +16,8 @@ Array = NDArray[np.float64]
 Fine = NDArray[np.float32]
 
 _LEAST_SAMPLES = 3
-_ROUNDS = 5
+_ROUNDS = 4
+_SETTLED = 0.01
 _TELLING = 400.0
 """Squared difference of two colours that tells how much of a pixel is ball."""
 
@@ -42,7 +43,7 @@ def learn_appearance(
     places = {int(at): (float(places_px[at, 0]), float(places_px[at, 1]), 0.0) for at in known}
     gains = {at: background.gain(samples[at]) for at in places}
     ball: Appearance | None = None
-    for _ in range(_ROUNDS):
+    for turn in range(_ROUNDS):
         zoom = min(1.0, FINE_PX / radius)
         patches, starts, used = [], [], []
         for at, (x, y, growth) in places.items():
@@ -53,9 +54,11 @@ def learn_appearance(
                 used.append(at)
         if len(patches) < _LEAST_SAMPLES:
             return None
-        ball = Appearance(_layers(patches, starts, radius * zoom), radius, zoom)
+        before, ball = ball, Appearance(_layers(patches, starts, radius * zoom), radius, zoom)
+        if before is not None and abs(before.radius_px / radius - 1) < _SETTLED:
+            return ball
         fitted = [
-            ball.fit(one, ball.nearest(one, start), 0.0)[0]
+            ball.fit(one, start if turn > 1 else ball.nearest(one, start), 0.0)[0]
             for one, start in zip(patches, starts, strict=True)
         ]
         middle = float(np.median([values[2] for values in fitted]))

@@ -27,8 +27,11 @@ FINE_PX = 9.0
 _MOST_STEPS = 10
 _ENOUGH_PX = 0.01
 _NEAR_START = 0.25
-_LARGE, _LARGE_SHARE, _AT_FIRST, _STRICTER = 30.0, 0.35, 4.0, 0.65
+_LARGE, _LARGE_SHARE, _STRICTER = 30.0, 0.35, 0.65
 """Residuals that count little: at first only the largest, or there would be no pull to the edge."""
+
+_WIDE, _NARROW, _SURE = 4.0, 1.6, 0.12
+"""By how much at first, from a start that may be far off or is about right; and when it was."""
 
 _PRIOR = np.diag([0.0, 0.0, 0.25**-2, 0.2**-2, 0.2**-2, 0.2**-2])
 """Of the growth, and of the light: as a whole, to the right and downward."""
@@ -99,8 +102,10 @@ class Appearance:
         if patch is None:
             return None
         start = np.array([*patch.here(x, y), np.log(grown), 0.0, 0.0, 0.0])
-        start = self.nearest(patch, start)
-        values, misfit = self.fit(patch, start, np.log(grown))
+        values, misfit = self.fit(patch, start, np.log(grown), _NARROW)
+        if misfit > _SURE:
+            start = self.nearest(patch, start)
+            values, misfit = self.fit(patch, start, np.log(grown))
         if np.hypot(*(values - start)[:2]) > _NEAR_START * self.radius_px * self.zoom:
             values, misfit = self.fit(patch, values, np.log(grown))  # it was a long way
         px, py = patch.there(values[0], values[1])
@@ -174,7 +179,9 @@ class Appearance:
         squared = (off**2).mean(axis=2).astype(np.float32)
         return squared, off.astype(np.float32), layers, within.astype(np.float32)
 
-    def fit(self, patch: Patch, start: Array, growth: float) -> tuple[Array, float]:
+    def fit(
+        self, patch: Patch, start: Array, growth: float, at_first: float = _WIDE
+    ) -> tuple[Array, float]:
         """Gauss-Newton steps in x, y, the logarithm of the size, and the light on the ball."""
         values = start.copy()
         expected = np.array([0.0, 0.0, growth, 0.0, 0.0, 0.0])
@@ -182,7 +189,7 @@ class Appearance:
         strict = max(_LARGE, _LARGE_SHARE * self._contrast(patch, self._residual(patch, values)[2]))
         for turn in range(_MOST_STEPS):
             squared, off, layers, within = self._residual(patch, values)
-            large = strict * max(1.0, _AT_FIRST * _STRICTER**turn)
+            large = strict * max(1.0, at_first * _STRICTER**turn)
             weight = patch.inside / (1 + squared / large**2) ** 2
             jacobian = self._jacobian(patch, layers, within, radius)
             weighted = jacobian * np.repeat(weight.reshape(-1), 3)
