@@ -48,7 +48,7 @@ _STARTS = 6
 _ROUGHLY = (10, 1e-4)
 _FEWEST, _FEWEST_SAMPLES = 4, 12
 _MARGIN_S = 0.5
-_REST_SEEN = 1.0
+_REST_SEEN = 2.0
 _WHOLE_PX_NOISE, _LEAST_NOISE_PX = 0.45, 0.1
 """Rounding to whole pixels is no noise: a ball that lies still is always rounded the same way."""
 
@@ -299,12 +299,12 @@ def _with_held(whole: Samples, fit: FilmFit) -> Samples:
     fall_s = float(np.exp(fit.unknowns[FALL]))
     earliest = float(fit.unknowns[IMPACT]) - 2 * fall_s
     begin = int(np.searchsorted(whole.seconds, earliest))
-    if first - begin < 2:
+    if first == begin:
         return fit.samples
     left = _part(whole, begin, first).left_px(fit.unknowns)
     held = begin + held_start(left, 4 * fit.scale_px)
     last = first + len(fit.samples.seconds)
-    return fit.samples if first - held < 2 else _part(whole, held, last)
+    return fit.samples if first == held else _part(whole, held, last)
 
 
 def _part(whole: Samples, first: int, last: int) -> Samples:
