@@ -56,6 +56,9 @@ _STRAIGHT = 0.0015
 """Of the span: what no lens is held to."""
 
 _USUAL = {SLOPE: 0.08, DRAG: 0.05}
+_CLEARLY = 3.0
+"""Log likelihood that another ball than the ideal one has to gain."""
+
 _ENDLESS = 0.995
 """A restitution that no ball has."""
 
@@ -88,8 +91,8 @@ class FilmedDrop:
 
     @property
     def best(self) -> FilmFit:
-        """Of the fits."""
-        return best_of(self.fits)
+        """Of the fits: the ideal ball's unless another explains clearly more."""
+        return _told_by(self.fits)
 
 
 def find_filmed_drop(
@@ -122,7 +125,7 @@ def find_filmed_drop(
     whole = Samples(seconds, along, noise_px, bent, drag_1_m * CALIBRATED.gravity_m_s2 / 2)
     balls = (DRAGGED,) if fit_drag else (SLOPED,) if drag_1_m else (SLOPED, DRAGGED)
     fits = _best_fits(whole, balls)
-    best = best_of(fits)
+    best = _told_by(fits)
     projection = best.projection()
     begin = int(np.searchsorted(seconds, best.samples.seconds[0] - _MARGIN_S))
     last = int(np.searchsorted(seconds, best.samples.seconds[-1], side="right"))
@@ -178,6 +181,13 @@ def best_of(fits: Sequence[FilmFit]) -> FilmFit:
     """The likeliest of fits to the same samples."""
     scale = min(fit.scale_px for fit in fits)
     return min(fits, key=lambda fit: fit.cost(scale))
+
+
+def _told_by(fits: Sequence[FilmFit]) -> FilmFit:
+    ideal, best = fits[0], best_of(fits)
+    scale = min(fit.scale_px for fit in fits)
+    gained = (ideal.cost(scale) - best.cost(scale)) / best.worth
+    return best if gained > _CLEARLY else ideal
 
 
 def _best_fits(whole: Samples, balls: Balls) -> tuple[FilmFit, ...]:

@@ -20,6 +20,9 @@ Array = NDArray[np.float64]
 _MOMENTS = 60
 _EDGE = 3
 _FEWEST = 12
+_AT_REST = 1.0
+"""Fall times of a rest that count."""
+
 
 
 def clock_doubt(fit: FilmFit) -> tuple[float, float]:
@@ -44,7 +47,7 @@ def clock_doubt(fit: FilmFit) -> tuple[float, float]:
     shifts = np.hstack([since > 0, np.maximum(since, 0.0)]) * speed[:, None]
     new = shifts - known @ (known.T @ shifts)
     power = np.maximum((new**2).sum(axis=0), 1e-9 * (shifts**2).sum(axis=0) + 1e-12)
-    gains = (new.T @ fit.left_px) ** 2 / power / fit.scale_px**2 / 2
+    gains = (new.T @ fit.left_px) ** 2 / power / fit.scale_px**2 / fit.worth / 2
     best = int(gains.argmax())
     return float(gains[best]), float(moments[best % len(moments)])
 
@@ -82,7 +85,8 @@ def size_doubt(
     """
     heights = np.clip(projection.heights(along_px), 0.0, 1.2)
     times = projection.fall_times(seconds)
-    good = np.isfinite(radius_px) & (radius_px > 0) & (times > -1)
+    last = float(projection.impacts(float(seconds[-1]))[-1])
+    good = np.isfinite(radius_px) & (radius_px > 0) & (times > -1) & (times < last + _AT_REST)
     if np.count_nonzero(good) < _FEWEST:
         return None
     nearly = projection.perspective or 1e-6

@@ -30,6 +30,9 @@ PRIORS_SD = {PERSPECTIVE: 0.7, SLOPE: 0.1, DRAG: 0.2}
 _FREEDOM = 8.0
 _LOW = np.array([0.005, -np.inf, -np.inf, -np.inf, 1.0, -2.5, -0.5, 0.0])
 _HIGH = np.array([1.0, np.inf, np.inf, np.inf, np.inf, 2.5, 0.5, 2.0])
+_BENDS = 16
+"""Pieces of a drop in each of which what a lens bends is much the same."""
+
 _OF_THE_BALL = (RESTITUTION, SLOPE, DRAG)
 _SHORT = 1e-5
 _FARTHEST = 1.5
@@ -114,6 +117,11 @@ class FilmFit:
     free: tuple[int, ...]
     left_px: Array
     scale_px: float
+
+    @property
+    def worth(self) -> float:
+        """How many samples are worth one where a lens bends the picture: that is no noise."""
+        return 1 + self.samples.bent * max(len(self.left_px) / _BENDS - 1, 0.0)
 
     @property
     def nearly_worst_px(self) -> float:

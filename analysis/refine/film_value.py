@@ -37,9 +37,6 @@ _RISE = 0.93 * TWO_SIDED**2 / 2
 _LEAST_SD = 2e-4
 _MOST_LOG_ODDS = 50.0
 _LEAST_WEIGHT = 1e-3
-_BENDS = 16
-"""Pieces of a drop in each of which what a lens bends is much the same."""
-
 
 @dataclass(frozen=True, eq=False)
 class FilmValue:
@@ -66,7 +63,7 @@ def film_value(film: FilmedDrop, initial: float) -> FilmValue:
     fits = (best_of([ideal, fit_film(ideal.samples, begin, IDEAL)]), *others)
     best = best_of(fits)
     scale = min(fit.scale_px for fit in fits)
-    worth = max(correlation_time(best.left_px, len(best.free)), _bent_worth(best))
+    worth = max(correlation_time(best.left_px, len(best.free)), best.worth)
     spreads = [_covariance(fit, scale * np.sqrt(worth)) for fit in fits]
     log_evidence = np.array(
         [
@@ -93,11 +90,6 @@ def film_rebounds(value: FilmValue) -> tuple[Rebound, ...]:
         return ()
     first = replace(found[0], restitution=value.restitution, interval95=value.interval95)
     return (first, *found[1:])
-
-
-def _bent_worth(fit: FilmFit) -> float:
-    """How many samples are worth one where a lens bends the picture: that is no noise."""
-    return 1 + fit.samples.bent * max(len(fit.left_px) / _BENDS - 1, 0.0)
 
 
 def _log_evidence(fit: FilmFit, covariance: Array, scale_px: float, worth: float) -> float:
