@@ -1,9 +1,9 @@
 """Drawn clips through the whole road of `tunenet-tune`: what a stranger's video would get.
 
-Nothing of a clip's rig is told. Its ball is integrated from impact to impact (`tracks.heights_m`)
-and drawn by rays (`clip_ball`): neither shares code with the tracker or the fit. A ball differs from
-what is behind it by 30 of 255 in one colour on half of its way, by 20 on nearly all of it: or a
-person could not follow it either.
+Nothing of a clip's rig is told. Its ball is integrated from impact to impact by
+`tracks.heights_m` and drawn by rays: neither shares code with the tracker or the fit. A ball
+differs from what is behind it by 30 of 255 in one colour on half of its way, by 20 on nearly all of
+it: or a person could not follow it either.
 """
 
 from __future__ import annotations
