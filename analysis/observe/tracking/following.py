@@ -7,8 +7,9 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.observe.tracking.arcs import Arc, Candidates
+from analysis.observe.tracking.arcs import Arc
 from analysis.observe.tracking.blobs import Look
+from analysis.observe.tracking.candidates import Candidates
 from tunenet_logs.errors import NotFoundError
 
 Array = NDArray[np.float64]

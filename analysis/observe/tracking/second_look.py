@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.observe.tracking.arcs import Arc, Candidates, tabulate
+from analysis.observe.tracking.arcs import Arc
 from analysis.observe.tracking.background import without_ball
 from analysis.observe.tracking.blobs import Blobs
+from analysis.observe.tracking.candidates import Candidates, tabulate
 from analysis.observe.tracking.following import (
     flying,
     follow,

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.observe.tracking.arcs import Arc, Candidates, longest_arc, tabulate
+from analysis.observe.tracking.arcs import Arc, longest_arc
 from analysis.observe.tracking.background import still_background
 from analysis.observe.tracking.blobs import Blobs, hsv_blobs, moving_blobs
+from analysis.observe.tracking.candidates import Candidates, tabulate
 from analysis.observe.tracking.following import LEAST_SEEN, follow, look_of, same_arc
 from analysis.observe.tracking.pictures import Pictures
 from analysis.observe.tracking.second_look import look_again, picked
@@ -19,7 +20,7 @@ from tunenet_logs.errors import NotFoundError
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
-_MOVED_PX = 1.0
+_MOVED_PX, _STOOD_PX = 1.0, 0.5
 _NEAR_PX = 50
 """From a mark to the edge of what it marks, in the reduced picture: it need not be exact."""
 
@@ -177,9 +178,11 @@ def _once(track: Track, unchanged: NDArray[np.bool_]) -> Track:
     edges = np.diff(np.concatenate([[False], unchanged, [False]]).astype(int))
     for first, end in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
         earlier, later = found[found < first], found[found >= end]
-        if len(earlier) < 2 or not len(later):
+        if len(earlier) < 2 or not len(later) or not track.found[first:end].all():
             continue
         before, here, after = track.places_px[[earlier[-2], earlier[-1], later[0]]]
+        if np.linalg.norm(track.places_px[first:end] - here, axis=1).max() > _STOOD_PX:
+            continue
         came, went = here - before, after - here
         if min(np.linalg.norm(came), np.linalg.norm(went)) > _MOVED_PX and came @ went > 0:
             kept[first:end] = False
