@@ -161,7 +161,7 @@ def sure_check(low: float, high: float) -> Check:
         "sure enough",
         half < _SURE,
         f"95 % interval of ±{shown} (at most {most})",
-        advice="drop from higher, closer to the camera or at a higher rate",
+        advice="drop from higher, or record larger or at a higher rate",
     )
 
 
