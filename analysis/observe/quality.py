@@ -168,7 +168,7 @@ def sure_check(low: float, high: float, reject: float = np.inf) -> Check:
         half < _SURE,
         f"95 % interval of ±{shown} (at most {most})",
         fatal=half > reject,
-        advice="drop from higher, closer to the camera or at a higher rate",
+        advice="drop from higher, or record larger or at a higher rate",
     )
 
 

@@ -155,3 +155,16 @@ def test_the_latest_bounce_is_named_over_the_video(filmed: Tuning, tmp_path: Pat
     assert entities["/film/impact"] == {"static", "log_time_s"}
     names = drawn(tmp_path / "a.rrd", "/film/impact")
     assert names == ["bounce 1: 0.700", "bounce 2: 0.712", "bounce 3: 0.731"]
+
+
+def test_a_rejected_drop_is_shown_with_what_to_do_and_no_value(filmed: Tuning, tmp_path: Path):
+    failed = [replace(one, passed=False, fatal=True) for one in filmed.checks[1:3]]
+    checks = (filmed.checks[0], *failed, *filmed.checks[3:])
+    tuning = replace(filmed, checks=checks, verdict="rejected", reason="first flight seen: 0.1")
+    write_review(tuning, tmp_path / "a.rrd")
+    verified(tmp_path / "a.rrd")
+    assert "/sheets/convergence/interval" not in contents(tmp_path / "a.rrd")
+    words = result_words(tuning)
+    assert "**rejected**: first flight seen: 0.1" in words
+    assert "# restitution" not in words
+    assert "- record until the ball lies still\n- drop onto the middle of a large" in words
