@@ -24,7 +24,6 @@ _AT_REST = 1.0
 """Fall times of a rest that count."""
 
 
-
 def clock_doubt(fit: FilmFit) -> tuple[float, float]:
     """Whether the clock jumps, or goes at another rate, from some moment on.
 

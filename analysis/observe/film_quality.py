@@ -44,7 +44,7 @@ def film_checks(film: FilmedDrop) -> list[Check]:
         Check(
             "first impact",
             not film.left_out,
-            f"{film.left_out} impacts after deeper falls before it fit no drop (wanted: none)",
+            f"{film.left_out} deeper falls before it fit no drop (wanted: none)",
             advice="let the ball bounce in the middle of a flat table, with nothing in its way",
         ),
         Check(
@@ -74,7 +74,8 @@ def film_checks(film: FilmedDrop) -> list[Check]:
             gain < _CLOCK,
             f"log likelihood ratio {gain:.1f} for a jump or another rate, at {moment_s:.2f} s "
             f"(at most {_CLOCK:.0f})",
-            advice="use the camera's own file, not a screen recording or a re-encoded copy",
+            advice="use the camera's own file, not a copy at another rate; name another ball or "
+            "none, if one was named; a lens that bends less",
         ),
         *_distance_checks(film),
     ]
@@ -154,7 +155,8 @@ def scale_checks(
             "frame rate",
             told_m / within < by_time_m < told_m * within,
             f"falls {by_time_m:.2f} m by the clock, {told_m:.2f} m by the known size (wanted: "
-            f"within a factor {within}; --fps sets a recording's true rate)",
+            f"within a factor {within}; or it is not that size)",
+            advice="record slow motion with its true rate: tunenet-record --camera FILE --fps RATE",
         )
     ]
 

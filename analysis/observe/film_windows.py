@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,7 +16,7 @@ _SURE_SLOPE = 0.06
 
 _FAST = 0.25
 _CORNER = 0.25
-_LIFTED = 1.15
+_LIFTED, _LOW = 1.15, 0.05
 _GAP_S = 1.0
 
 
@@ -71,12 +73,27 @@ def fall_start(along: Array, index: int, share: float, noise_px: float) -> int:
     return first + (int(high[-1]) + 1 if len(high) else 0)
 
 
-def bounces_end(seconds: Array, along: Array, index: int) -> int:
-    """Where the bounces after `index` end: when the ball is lifted, or long not found."""
+def bounces_end(seconds: Array, along: Array, impacts: Sequence[int]) -> int:
+    """Where the bounces after the first of these impacts end: lifted, or long not found.
+
+    Args:
+        seconds: shape (T,).
+        along: places, up positive [px], shape (T,).
+        impacts: as `film_impacts` finds them, from the first one on.
+    """
+    index = impacts[0]
     low = float(along[max(index - 1, 0) : index + 2].min())
     top = float(along[max(0, index - 200) : index].max())
-    above = np.flatnonzero(along[index:] > low + _LIFTED * (top - low))
-    last = index + int(above[0]) if len(above) else len(along)
+    last = len(along)
+    limits = [(index, low + _LIFTED * (top - low))]
+    if len(impacts) > 1 and impacts[1] > index + 2:  # no bounce is higher than the first
+        apex = float(along[index : impacts[1]].max())
+        limits.append((impacts[1], apex + (_LIFTED - 1) * (top - low)))
+    for begin, most in limits:
+        above = np.flatnonzero(along[begin:last] > most)
+        if len(above):
+            lying = np.flatnonzero(along[begin : begin + above[0]] < low + _LOW * (top - low))
+            last = begin + int(lying[-1] if len(lying) else above[0])
     gaps = np.flatnonzero(np.diff(seconds[index:last]) > _GAP_S)
     return index + int(gaps[0]) + 1 if len(gaps) else last
 

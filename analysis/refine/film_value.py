@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.observe.film import FilmedDrop, best_of
+from analysis.observe.film import FilmedDrop
 from analysis.observe.film_fit import (
     DRAGGED,
     IDEAL,
@@ -23,6 +23,7 @@ from analysis.observe.film_fit import (
     FilmFit,
     fit_film,
 )
+from analysis.observe.film_search import best_of
 from analysis.refine.averaging import TWO_SIDED, Opinion, average, correlation_time
 from analysis.refine.rebounds import Rebound, rebounds
 
@@ -37,6 +38,7 @@ _RISE = 0.93 * TWO_SIDED**2 / 2
 _LEAST_SD = 2e-4
 _MOST_LOG_ODDS = 50.0
 _LEAST_WEIGHT = 1e-3
+
 
 @dataclass(frozen=True, eq=False)
 class FilmValue:

@@ -18,9 +18,10 @@ from analysis.observe.tracking.pictures import Pictures
 from analysis.observe.tracking.track import Hints, Track, track_ball
 from analysis.refine.film_value import film_rebounds, film_value
 from analysis.tasks.base import CrossCheck, Preset, Refined, Selection
+from analysis.tasks.drop_presets import PAPER_HEIGHT_M
 from analysis.tasks.drop_video_presets import PRESETS
 from analysis.tasks.found_drop import FoundDrop, drop_problem
-from recorders.simulators.balls import completed, recorded_ball
+from recorders.simulators.balls import completed, contradict, recorded_ball
 from recorders.simulators.drop import RESTITUTION
 from tunenet_logs.episode import Episode, EpisodeInfo
 from tunenet_logs.errors import NotFoundError
@@ -31,6 +32,8 @@ _AGREEMENT = 0.03
 _FIT = 0.015
 _MOST_GAP_FALLS = 0.4
 _UNSURE = 0.1
+_HIGHEST_M = 6.0
+_MOST_NAMED = 5
 _LEAST_COMPARED = 0.5
 """Fall times of the simulated flight that are held against the film's, at least."""
 
@@ -68,7 +71,13 @@ class DropVideoTask:
     ) -> FoundDrop:
         pictures = Pictures(episode, topic, selection.start_s, selection.end_s)
         track, warnings = _tracked(pictures, selection.hints, episode.info)
-        ball = completed(selection.ball, recorded_ball(episode.info))
+        recorded = recorded_ball(episode.info)
+        ball = completed(selection.ball, recorded)
+        if contradict(selection.ball, recorded):
+            warnings.append(
+                f"the log's ball ({recorded.words}) is not the one told ({selection.ball.words}); "
+                "the told one is used"
+            )
         selection = replace(selection, ball=ball)
         found = self.find_in_track(track, pictures.start_ns, selection, preset)
         told = sum(one.messages for one in episode.channels if one.topic == topic)
@@ -101,7 +110,7 @@ class DropVideoTask:
             start_ns=start_ns,
             sideways_m=film.sideways[:, None] * film.drop.drop_height_m,
             target=canonical_film(film) if physical else _paper_target(film),
-            warnings=() if physical else _paper_warnings(film, selection),
+            warnings=_warnings(film) if physical else _paper_warnings(film, selection),
             film=film,
             known_m=(selection.ball.diameter_m, None),
         )
@@ -137,7 +146,7 @@ class DropVideoTask:
         checks += film_checks(found.film)
         checks += scale_checks(found.film, *found.known_m)
         if not found.physical:  # z and y are not to be compared
-            return tuple(checks)
+            return (*checks, _paper_check(found.drop.drop_height_m))
         value = float(last.values[0])
         checks.append(refined.check if refined else hop_check(found.film, value))
         first = found.target.axis < max(2 * value, _LEAST_COMPARED)
@@ -145,14 +154,16 @@ class DropVideoTask:
         simulated, seen = (_only(one, first) for one in (last.look.observation, found.target))
         return (*checks, fit_check(simulated, seen, 1.0, most))
 
-    def cross_check(self, found: FoundDrop, estimate: Array) -> CrossCheck | None:  # noqa: ARG002
+    def cross_check(self, found: FoundDrop, estimate: Array) -> CrossCheck | None:
         """How much shorter the second flight is than the first, which no projection changes."""
         assert found.film is not None
         ratio = flight_ratio(found.film.best) if found.physical else None
         if ratio is None:
             return None
         agrees = abs(ratio.value - ratio.fitted) < _AGREEMENT + 3 * ratio.sd
-        return CrossCheck("durations of the first two flights", ratio.value, bool(agrees))
+        # What they tell is the second impact's; the first one's is as much off, at any slope.
+        value = float(estimate[0]) * ratio.value / ratio.fitted
+        return CrossCheck("durations of the first two flights", value, bool(agrees))
 
 
 def _only(observation: views.Observation, chosen: NDArray[np.bool_]) -> views.Observation:
@@ -200,6 +211,31 @@ def _paper_target(film: FilmedDrop) -> views.Observation:
             "or use --preset default"
         )
     return target
+
+
+def _paper_check(height_m: float) -> Check:
+    low, high = PAPER_HEIGHT_M
+    return Check(
+        "as in training",
+        low - 1 < height_m < high,  # of the ball's lower edge, and a little more
+        f"a fall of {height_m:.2f} m by the clock (wanted: {low - 1:g} to {high:g})",
+        advice="use the preset default",
+    )
+
+
+def _warnings(film: FilmedDrop) -> tuple[str, ...]:
+    found: list[str] = []
+    if film.later_s:
+        at = ", ".join(f"{one:.2f} s" for one in film.later_s[:_MOST_NAMED])
+        found.append(f"more drops seem to follow, at {at}; the first is used (see --start, --end)")
+    height_m = film.drop.drop_height_m
+    if height_m < _HIGHEST_M:
+        return tuple(found)
+    return (
+        *found,
+        f"falls {height_m:.1f} m by the clock: slow motion? the restitution is the same; for true "
+        "heights and speeds record it with tunenet-record --camera FILE --fps RATE",
+    )
 
 
 def _paper_warnings(film: FilmedDrop, selection: Selection) -> tuple[str, ...]:

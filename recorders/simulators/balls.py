@@ -51,6 +51,13 @@ class Ball:
             )
 
     @property
+    def words(self) -> str:
+        """Size and mass, as far as they are known."""
+        size = "" if self.diameter_m is None else f"{1000 * self.diameter_m:.3g} mm"
+        mass = "" if self.mass_kg is None else f"{1000 * self.mass_kg:.3g} g"
+        return ", ".join(one for one in (size, mass) if one) or "unknown"
+
+    @property
     def density_kg_m3(self) -> float | None:
         """Mass over the volume that it takes up [kg/m³]; None where mass or size is unknown."""
         if self.diameter_m is None or self.mass_kg is None:
@@ -98,9 +105,10 @@ def ball_named(name: str) -> Ball:
     Raises:
         UsageError: there is none of this name; the message lists those that there are.
     """
-    if name not in BALLS:
+    known = name.strip().lower().replace(" ", "-").replace("_", "-")
+    if known not in BALLS:
         raise UsageError(f"no ball {name!r} is known; there is: {', '.join(BALLS)}")
-    return BALLS[name]
+    return BALLS[known]
 
 
 def recorded_ball(info: EpisodeInfo) -> Ball:
@@ -115,6 +123,12 @@ def recorded_ball(info: EpisodeInfo) -> Ball:
         return replace(known, **told)
     except UsageError:
         return Ball()
+
+
+def contradict(told: Ball, recorded: Ball) -> bool:
+    """Whether a user and a log say of the same length or mass what is a fifth apart or more."""
+    pairs = ((told.diameter_m, recorded.diameter_m), (told.mass_kg, recorded.mass_kg))
+    return any(one and two and max(one, two) > 1.2 * min(one, two) for one, two in pairs)
 
 
 def completed(told: Ball, recorded: Ball) -> Ball:
