@@ -26,6 +26,10 @@ _LEAST_FRAMES = 6
 _ENOUGH_FRAMES = 16
 _FALLEN = 5.0
 _LOOSE_PX, _LOOSE = 0.3, 0.15
+_SMALLEST_BALL = 2500.0
+"""Most acceleration [ball radii/s²]: a ball of 4 mm radius, falling on Earth, filmed at most at
+its true rate."""
+
 _WAYS = (((0.0, 1.0), 2.0), ((0.0, -1.0), 1.0), ((1.0, 0.0), 1.0), ((-1.0, 0.0), 1.0))
 """Where down may be in a picture, and how much that is favoured."""
 
@@ -145,6 +149,9 @@ def _is_flight(table: Candidates, arc: Arc, down: Array) -> bool:
         return False
     clock = table.seconds[arc.frames]
     area = float(np.median(table.areas_px[arc.frames, arc.chosen]))
+    radius = float(np.sqrt(area / np.pi))
+    if np.linalg.norm(arc.gravity_px) > _SMALLEST_BALL * (radius + 2):
+        return False
     sag = float(arc.gravity_px @ down) * float(np.ptp(clock)) ** 2 / 8
     sideways = abs(float(arc.gravity_px @ np.array([down[1], -down[0]])))
-    return sag > 2 + 0.3 * np.sqrt(area / np.pi) and sideways < 0.7 * float(arc.gravity_px @ down)
+    return sag > 2 + 0.3 * radius and sideways < 0.7 * float(arc.gravity_px @ down)

@@ -33,6 +33,17 @@ class Candidates:
     whole: NDArray[np.bool_]
     misfits: Array
 
+    def some(self, frames: NDArray[np.intp]) -> Candidates:
+        """Those of some pictures."""
+        return Candidates(
+            self.seconds[frames],
+            self.places_px[frames],
+            self.areas_px[frames],
+            self.colours[frames],
+            self.whole[frames],
+            self.misfits[frames],
+        )
+
 
 def tabulate(seconds: Array, blobs: Sequence[Blobs]) -> Candidates:
     """Put the blobs of T pictures into one table."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +19,7 @@ Array = NDArray[np.float64]
 _GOOD = 0.3
 """With less misfit than that, nothing better is looked for."""
 
-_MOST_PLACED = 4
+_MOST_PLACED = 3
 _GROWN = (0.65, 1.5)
 
 
@@ -49,39 +51,34 @@ class Eye:
             return coloured_blobs(picture, self.background, self.look, self.allowed)
         gain = self.background.gain(picture)
         placed: list[Placing] = []
-        for x, y in (expected_px, still_px):
-            if np.isfinite(x) and self._place(placed, picture, gain, float(x), float(y)):
-                return self._blobs(picture, placed[-1:])
-        for x, y in (expected_px, still_px):
-            if np.isfinite(x):
-                for near in self.ball.alike(picture, float(x), float(y)):
-                    if self._place(placed, picture, gain, *near):
-                        return self._blobs(picture, placed[-1:])
+        for x, y, grown in self._starts(picture, expected_px, still_px):
+            one = self.ball.place(picture, self.background, gain, x, y, grown)
+            if one is None or not self._is_allowed(one) or _known(one, placed):
+                continue
+            placed.append(one)
+            if one.misfit < _GOOD:
+                break
+        return self._blobs(picture, placed)
+
+    def _starts(
+        self, picture: Picture, expected_px: Array, still_px: Array
+    ) -> Iterator[tuple[float, float, float]]:
+        """Where it may be, the likeliest first: x, y, and how much it has grown."""
+        assert self.ball is not None
+        around = [(float(x), float(y)) for x, y in (expected_px, still_px) if np.isfinite(x)]
+        if len(around) > 1 and math.dist(*around) < self.ball.radius_px:
+            del around[1]
+        for x, y in around:
+            yield x, y, 1.0
+        for x, y in around:
+            for near in self.ball.alike(picture, x, y):
+                yield *near, 1.0
         found = coloured_blobs(picture, self.background, self.look, self.allowed)
         unlike = np.linalg.norm(found.colours - self.look.colour, axis=1) / 45
         unlike += np.abs(np.log(found.areas_px / self.look.area_px))
         for at in np.argsort(unlike)[:_MOST_PLACED]:
             grown = float(np.clip(np.sqrt(found.areas_px[at] / self.look.area_px), *_GROWN))
-            x, y = found.places_px[at]
-            self._place(placed, picture, gain, float(x), float(y), grown)
-        return self._blobs(picture, placed)
-
-    def _place(
-        self,
-        placed: list[Placing],
-        picture: Picture,
-        gain: float,
-        x: float,
-        y: float,
-        grown: float = 1.0,
-    ) -> bool:
-        """Add what is near a place to `placed`; whether that is surely the ball."""
-        assert self.ball is not None
-        one = self.ball.place(picture, self.background, gain, x, y, grown)
-        if one is None or not self._is_allowed(one) or _known(one, placed):
-            return False
-        placed.append(one)
-        return one.misfit < _GOOD
+            yield float(found.places_px[at, 0]), float(found.places_px[at, 1]), grown
 
     def _is_allowed(self, one: Placing) -> bool:
         if self.allowed is None:

@@ -25,6 +25,7 @@ FINE_PX = 9.0
 """A larger ball is reduced to that radius before it is fitted."""
 
 _MOST_STEPS = 10
+_NOISE = 4.0
 _ENOUGH_PX = 0.01
 _NEAR_START = 0.25
 _LARGE, _LARGE_SHARE, _STRICTER = 30.0, 0.35, 0.65
@@ -56,7 +57,7 @@ class Placing:
     Attributes:
         x, y: of its centre [px].
         radius_px: of its outline.
-        misfit: rms residual inside it over how far it stands out; 0 is a perfect fit.
+        misfit: rms residual inside it, but for noise, over how far it stands out; 0 is perfect.
     """
 
     x: float
@@ -210,7 +211,8 @@ class Appearance:
         inside = (layers[:, :, 3] > 0.5) & (patch.inside > 0)
         if not inside.any():
             return values, np.inf
-        return values, float(np.sqrt(squared[inside].mean()) / self._contrast(patch, layers))
+        beyond_noise = max(float(squared[inside].mean()) - _NOISE**2, 0.0)
+        return values, float(np.sqrt(beyond_noise)) / self._contrast(patch, layers)
 
     def _contrast(self, patch: Patch, layers: Fine) -> float:
         """How far the ball stands out, rms, at least 1."""

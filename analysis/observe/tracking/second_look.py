@@ -27,6 +27,8 @@ Picture = NDArray[np.uint8]
 
 _HIDDEN = 2.5
 _MISSED = 1.2
+_MOVED_PX, _STOOD_PX, _ONWARD = 1.0, 0.5, 0.8
+_GOOD = 0.4
 _SAME = 10
 """Of 255, in the mean of three by three pixels: less is no change."""
 
@@ -44,6 +46,40 @@ class SecondLook:
     table: Candidates
     before_px: Array
     unchanged: NDArray[np.bool_]
+
+    def fresh(self) -> NDArray[np.intp]:
+        """Numbers of the pictures but those that show a moving ball where it was, once more.
+
+        Phones double pictures, and cameras freeze. A ball that lies moves neither before nor after;
+        one that bounces may be seen twice in one place, but goes back.
+        """
+        places = self._likeliest_px()
+        kept = np.ones(len(self.unchanged), dtype=bool)
+        found = np.flatnonzero(np.isfinite(places[:, 0]))
+        edges = np.diff(np.concatenate([[False], self.unchanged, [False]]).astype(int))
+        for first, end in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
+            earlier, later = found[found < first], found[found >= end]
+            if len(earlier) < 2 or not len(later):
+                continue
+            before, here, after = places[[earlier[-2], earlier[-1], later[0]]]
+            came, went = here - before, after - here
+            stood = np.linalg.norm(places[first:end] - here, axis=1).max() < _STOOD_PX
+            least = min(np.linalg.norm(came), np.linalg.norm(went))
+            onward = came @ went > _ONWARD * np.linalg.norm(came) * np.linalg.norm(went)
+            kept[first:end] = not (stood and least > _MOVED_PX and onward)
+        return np.flatnonzero(kept)
+
+    def _likeliest_px(self) -> Array:
+        """The best candidate's place in each picture, NaN where none is good, shape (T, 2)."""
+        table = self.table
+        if not table.areas_px.size:
+            return np.full((len(table.seconds), 2), np.nan)
+        misfits = np.where(np.isfinite(table.areas_px), table.misfits, np.inf)
+        best = misfits.argmin(axis=1)
+        rows = np.arange(len(best))
+        places = table.places_px[rows, best].copy()
+        places[misfits[rows, best] > _GOOD] = np.nan
+        return places
 
 
 def look_again(

@@ -20,7 +20,6 @@ from tunenet_logs.errors import NotFoundError
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
-_MOVED_PX, _STOOD_PX = 1.0, 0.5
 _NEAR_PX = 50
 """From a mark to the edge of what it marks, in the reduced picture: it need not be exact."""
 
@@ -104,10 +103,13 @@ def track_ball(pictures: Pictures, hints: Hints | None = None) -> Track:
         table = _only_like(table, pictures, hints.ball_at)
     arc = _arc_of(table)
     second = look_again(pictures, table, arc, allowed)
-    table = second.table
-    arc = same_arc(table, arc, second.before_px)
+    fresh = second.fresh()
+    table = second.table.some(fresh)
+    kept = np.isin(arc.frames, fresh)
+    arc = replace(arc, frames=np.searchsorted(fresh, arc.frames[kept]), chosen=arc.chosen[kept])
+    arc = same_arc(table, arc, second.before_px[fresh])
     chosen, cost = follow(table, arc, look_of(table, arc))
-    return _once(_track(pictures, table, chosen, cost, arc), second.unchanged)
+    return _track(pictures, table, chosen, cost, arc, fresh)
 
 
 def _arc_of(table: Candidates) -> Arc:
@@ -146,7 +148,12 @@ def _only_like(
 
 
 def _track(
-    pictures: Pictures, table: Candidates, chosen: NDArray[np.intp], cost: Array, arc: Arc
+    pictures: Pictures,
+    table: Candidates,
+    chosen: NDArray[np.intp],
+    cost: Array,
+    arc: Arc,
+    fresh: NDArray[np.intp] | slice = slice(None),
 ) -> Track:
     places = picked(table.places_px, chosen)
     areas = picked(table.areas_px, chosen)
@@ -157,39 +164,11 @@ def _track(
     red, green, blue = np.nanmedian(picked(table.colours, chosen), axis=0).round().astype(int)
     scale = pictures.scale
     return Track(
-        stamps_ns=pictures.stamps_ns,
+        stamps_ns=pictures.stamps_ns[fresh],
         places_px=places * scale + (scale - 1) / 2,
         radius_px=np.sqrt(areas / np.pi) * scale,
         confidence=np.where(np.isfinite(areas), np.exp(-cost / 8), 0.0),
         size_px=pictures.size_px,
         gravity_px=arc.gravity_px * scale,
         colour=(int(red), int(green), int(blue)),
-    )
-
-
-def _once(track: Track, unchanged: NDArray[np.bool_]) -> Track:
-    """Without the pictures that show a moving ball where it was: the one before, once more.
-
-    Phones double pictures, and cameras freeze. A ball that lies moves neither before nor after; one
-    that bounces may be seen twice in one place, but goes back.
-    """
-    kept = np.ones(len(unchanged), dtype=bool)
-    found = np.flatnonzero(track.found)
-    edges = np.diff(np.concatenate([[False], unchanged, [False]]).astype(int))
-    for first, end in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
-        earlier, later = found[found < first], found[found >= end]
-        if len(earlier) < 2 or not len(later) or not track.found[first:end].all():
-            continue
-        before, here, after = track.places_px[[earlier[-2], earlier[-1], later[0]]]
-        if np.linalg.norm(track.places_px[first:end] - here, axis=1).max() > _STOOD_PX:
-            continue
-        came, went = here - before, after - here
-        if min(np.linalg.norm(came), np.linalg.norm(went)) > _MOVED_PX and came @ went > 0:
-            kept[first:end] = False
-    return replace(
-        track,
-        stamps_ns=track.stamps_ns[kept],
-        places_px=track.places_px[kept],
-        radius_px=track.radius_px[kept],
-        confidence=track.confidence[kept],
     )
