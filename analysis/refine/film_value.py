@@ -35,6 +35,9 @@ _PRIORS = {IDEAL: 0.7, SLOPED: 0.2, DRAGGED: 0.1}
 _RISE = 0.93 * TWO_SIDED**2 / 2
 """How much less likely the ends are: a t distribution is flatter than the noise of a track."""
 
+_LAWS_WIDER = 1.25
+"""What a law of slope or drag adds to its standard error, so that its intervals hold as often."""
+
 _LEAST_SD = 2e-4
 _MOST_LOG_ODDS = 50.0
 _LEAST_WEIGHT = 1e-3
@@ -119,7 +122,8 @@ def _log_density(fit: FilmFit, scale_px: float, worth: float) -> float:
 def _sds(fit: FilmFit, covariance: Array, scale_px: float, worth: float) -> tuple[float, float]:
     """Below and above: where the profile likelihood is as low as 95 % of a normal one ask for."""
     guess = max(float(np.sqrt(covariance[0, 0])), _LEAST_SD)
-    below, above = (_profile(fit, side, guess, scale_px, worth) for side in (-1, 1))
+    wider = 1.0 if fit.free == IDEAL else _LAWS_WIDER
+    below, above = (wider * _profile(fit, side, guess, scale_px, worth) for side in (-1, 1))
     return below, above
 
 
