@@ -29,8 +29,8 @@ from analysis.refine.rebounds import Rebound, rebounds
 
 Array = NDArray[np.float64]
 
-_PRIORS = {IDEAL: 0.7, SLOPED: 0.2, DRAGGED: 0.1}
-"""Of the balls, before the track is looked at."""
+_PRIORS = {IDEAL: 0.75, SLOPED: 0.23, DRAGGED: 0.02}
+"""Of the balls, before the track is looked at: few that people drop are as light as that."""
 
 _RISE = 0.93 * TWO_SIDED**2 / 2
 """How much less likely the ends are: a t distribution is flatter than the noise of a track."""
