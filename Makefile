@@ -4,7 +4,9 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 PIP_ARGS ?=
 BIN := .venv/bin
-SAMPLES := $(wildcard sample_logs/*.mcap)
+export OMP_NUM_THREADS ?= 1
+export OPENBLAS_NUM_THREADS ?= 1
+SAMPLES := $(filter-out sample_logs/payload%,$(wildcard sample_logs/*.mcap))
 
 .PHONY: demo test check format bench samples clean
 
@@ -12,9 +14,13 @@ demo: .venv/installed
 	@mkdir -p demo
 	$(BIN)/tunenet-record --simulate drop --restitution 0.72 --height 1.1 -o demo/drop.mcap --overwrite
 	$(BIN)/tunenet-tune demo/drop.mcap $(SAMPLES) -o demo
+	$(BIN)/tunenet-tune sample_logs/payload.mcap --tare sample_logs/payload_empty.mcap -o demo
+	$(BIN)/tunenet-review sample_logs/campaign -o demo/campaign.rrd
+	@echo "look at them: $(BIN)/rerun demo/drop.rrd"
 
 test: check
-	$(BIN)/pytest
+	$(BIN)/pytest -n auto --dist loadfile -m "not live"
+	$(BIN)/pytest -m live
 
 check: .venv/developing
 	$(BIN)/ruff check .
@@ -30,6 +36,7 @@ bench: .venv/developing
 
 samples: .venv/installed
 	sh sample_logs/record.sh $(BIN)/tunenet-record
+	sh sample_logs/campaign/record.sh $(BIN)/tunenet-record
 
 clean:
 	rm -rf .venv demo build dist *.egg-info
@@ -42,6 +49,6 @@ clean:
 	@touch $@
 
 .venv/developing: .venv/installed
-	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_ARGS) -e '.[dev,eval]'
+	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_ARGS) -e '.[dev,eval,ros2]'
 	$(BIN)/pyright --version
 	@touch $@

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from analysis.tasks.found_drop import FoundDrop
 from analysis.tuning import Tuning
 
 
@@ -28,7 +29,8 @@ def bounces_of(tuning: Tuning) -> tuple[ReportedBounce, ...]:
 
     Where nothing tells them apart there is the first, whose restitution is the tuning's.
     """
-    if tuning.estimate is None or not tuning.physical:
+    found = tuning.found
+    if tuning.estimate is None or not tuning.physical or not isinstance(found, FoundDrop):
         return ()
     doubted = tuning.interval95 is None
     if tuning.refined is not None and tuning.refined.rebounds:
@@ -45,5 +47,5 @@ def bounces_of(tuning: Tuning) -> tuple[ReportedBounce, ...]:
     if tuning.interval95 is not None:
         low, high = (float(end) for end in tuning.interval95[0])
         ends = low, high
-    drop = tuning.found.drop
+    drop = found.drop
     return (ReportedBounce(drop.impact_s, float(tuning.estimate[0]), ends, drop.impact_speed_m_s),)

@@ -16,8 +16,16 @@ from analysis.estimators.base import Problem, Step, Trace
 from analysis.estimators.tunenet import TuneNet
 from analysis.observe.quality import Check, log_checks
 from analysis.observe.tracking.track import Track
-from analysis.tasks import TASKS, task_for
-from analysis.tasks.base import CrossCheck, Preset, Refined, Selection, Task
+from analysis.tasks import KINDS, kinds_of, task_for
+from analysis.tasks.base import (
+    CrossCheck,
+    Found,
+    Further,
+    Preset,
+    Refined,
+    Selection,
+    Task,
+)
 from analysis.tasks.drop_video import DropVideoTask
 from analysis.tunenet.checkpoint import load_model, shipped_model
 from analysis.tunenet.network import Model
@@ -32,8 +40,6 @@ NETWORK = TuneNet.name
 REFINED = f"{TuneNet.name}+refine"
 METHODS = (REFINED, NETWORK)
 """What a user may ask for; the first is the default where the log and the preset allow it."""
-
-_DISAGREEMENT = "let go without spin, over a hard and level surface, and compare"
 
 
 @dataclass(frozen=True)
@@ -61,9 +67,10 @@ class Tuning:
     """What came out for one log.
 
     Attributes:
+        occasion: what a user would do again, e.g. "drop".
         reason: why the verdict is not "ok"; None if it is.
         episode: the log as it was read; None if it could not be.
-        found: what the task found in it; None if nothing.
+        found: what the task found in it, a `Found`; None if nothing.
         trace: the iterates with their rollouts, the last one's too; None where there are none.
         refined: what follows the network's steps, and the last of the iterates; None without.
         rollouts: all simulator runs, that of the last iterate too.
@@ -78,6 +85,7 @@ class Tuning:
     verdict: Verdict
     reason: str | None
     parameters: tuple[Parameter, ...] = ()
+    occasion: str = "recording"
     episode: Episode | None = None
     found: Any = None
     trace: Trace | None = None
@@ -96,6 +104,11 @@ class Tuning:
         if self.trace is None or self.verdict == "rejected":
             return None
         return self.trace.estimate
+
+    @property
+    def further(self) -> tuple[Further, ...]:
+        """What was found beside the tuned values; nothing for a rejected log."""
+        return () if self.estimate is None or self.refined is None else self.refined.further
 
     @property
     def method(self) -> str:
@@ -162,6 +175,7 @@ def tune_track(track: Track, options: Options) -> Tuning:
         "rejected",
         None,
         task.parameters,
+        task.occasion,
         physical=preset.physical,
     )
     start_ns = int(track.stamps_ns[0])
@@ -171,16 +185,17 @@ def tune_track(track: Track, options: Options) -> Tuning:
 
 def _tune(path: Path, episode: Episode, options: Options, watch: _Stopwatch) -> Tuning:
     rejected = Tuning(path, options.task, options.preset, "rejected", None, seconds=watch.seconds)
-    kind = options.task or episode.info.kind or "drop"
+    kind = options.task or episode.info.kind or _only_kind(path, episode, options)
     task = task_for(kind, episode, options.selection.topic)
     if task is None:
-        known = ", ".join(sorted({one.kind for one in TASKS.values()}))
+        known = ", ".join(sorted(KINDS))
         return replace(rejected, reason=f"holds a {kind!r}; what can be tuned is: {known}")
     rejected = replace(
         rejected,
         task=task.kind,
         episode=episode,
         parameters=task.parameters,
+        occasion=task.occasion,
         checks=log_checks(episode),
         warnings=episode.warnings,
         physical=_preset(task, options).physical,
@@ -189,10 +204,23 @@ def _tune(path: Path, episode: Episode, options: Options, watch: _Stopwatch) -> 
     return _tune_found(rejected, task, find, options, watch)
 
 
+def _only_kind(path: Path, episode: Episode, options: Options) -> str:
+    """What a log that does not say so shows.
+
+    Raises:
+        UsageError: it may be one or the other.
+    """
+    kinds = kinds_of(episode, options.selection.topic)
+    if len(kinds) > 1:
+        choices = " or ".join(f"--task {kind}" for kind in kinds)
+        raise UsageError(f"{path}: holds what may be a {' or a '.join(kinds)}; say {choices}")
+    return kinds[0] if kinds else KINDS[0]
+
+
 def _tune_found(
     rejected: Tuning,
     task: Task,
-    find: Callable[[], Any],
+    find: Callable[[], Found],
     options: Options,
     watch: _Stopwatch,
 ) -> Tuning:
@@ -213,7 +241,7 @@ def _tune_found(
     checks = (*rejected.checks, *task.checks(found, trace.steps[-1], refined))
     cross_check = task.cross_check(found, trace.estimate)
     watch.lap("tune")
-    verdict, reason = _judge(checks, cross_check)
+    verdict, reason = _judge(checks, cross_check, rejected.occasion)
     return replace(
         rejected,
         verdict=verdict,
@@ -265,7 +293,9 @@ def _looked_at(trace: Trace, refined: Refined | None, problem: Problem) -> Trace
     return Trace(tuple(steps))
 
 
-def _judge(checks: tuple[Check, ...], cross_check: CrossCheck | None) -> tuple[Verdict, str | None]:
+def _judge(
+    checks: tuple[Check, ...], cross_check: CrossCheck | None, occasion: str
+) -> tuple[Verdict, str | None]:
     """The verdict and its reason in one line, with what to do about what is named first."""
     failed = [check for check in checks if not check.passed]
     fatal = [check for check in failed if check.fatal]
@@ -273,10 +303,10 @@ def _judge(checks: tuple[Check, ...], cross_check: CrossCheck | None) -> tuple[V
     orders = [check.advice for check in fatal or failed]
     if cross_check is not None and not cross_check.agrees:
         reasons.append(f"cross-check: {cross_check.value:.3f} by {cross_check.method}")
-        orders.append(_DISAGREEMENT)
+        orders.append(cross_check.advice)
     if not reasons:
         return "ok", None
-    advice = f"; at the next drop: {orders[0]}" if orders[0] else ""
+    advice = f"; at the next {occasion}: {orders[0]}" if orders[0] else ""
     if fatal:
         return "rejected", reasons[0] + advice
     return "suspect", "; ".join(reasons) + advice

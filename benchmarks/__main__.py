@@ -11,7 +11,14 @@ from pathlib import Path
 from benchmarks import training
 
 BIN = Path(sys.executable).parent
-COMMANDS = ("tunenet-logs", "tunenet-record", "tunenet-tune", "tunenet-train", "tunenet-eval")
+COMMANDS = (
+    "tunenet-logs",
+    "tunenet-record",
+    "tunenet-tune",
+    "tunenet-review",
+    "tunenet-train",
+    "tunenet-eval",
+)
 SAMPLE = Path(__file__).resolve().parents[1] / "sample_logs" / "bouncy.mcap"
 
 

@@ -30,7 +30,7 @@ from tunenet_logs.errors import NotFoundError
 from tunenet_logs.reader import read_episode
 
 SEED = 1000
-CLIP = 6
+CLIP = 34
 """640 x 480 at 60 fps."""
 
 CLIP_S = 5.0

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tunenet_logs.commandline import number, whole
+from tunenet_logs.commandline import number
 from tunenet_logs.errors import UsageError
 
 if TYPE_CHECKING:
@@ -23,14 +23,16 @@ def drop_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
             "--restitution",
             type=number(0, 1),
             metavar="E",
-            help="coefficient of restitution, 0 to 1 (default: drawn from .1 to .95)",
+            help="coefficient of restitution, 0 to 1 (default: drawn from .1 to .95; of a bounce "
+            "shot from .5 to .85)",
         ),
         add(
             "--height",
             type=number(0.01, 1000, "m"),
             metavar="M",
             help="drop height, from the ball's underside to the table [m] "
-            "(default: drawn, .3 to 5; with --render .4 to 2)",
+            "(default: drawn, .3 to 5; with --render .4 to 2); of a bounce shot, how far it falls "
+            "to the plane (default: drawn from what the rig reaches)",
         ),
         add(
             "--radius",
@@ -49,17 +51,6 @@ def drop_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
             type=number(0, 1, "m"),
             metavar="M",
             help="standard deviation of the sensor's noise [m] (default: 0)",
-        ),
-        add(
-            "--preset",
-            choices=["default", "paper"],
-            help="contact settings: calibrated, or PyBullet's defaults at 60 Hz as in the paper",
-        ),
-        add(
-            "--seed",
-            type=whole(0, 2**32 - 1),
-            metavar="N",
-            help="for what is drawn: restitution, height, noise, camera (default: 0)",
         ),
         add(
             "--render",

@@ -67,6 +67,8 @@ class LiveRecording:
         self._stop = stop or threading.Event()
         self._types: dict[str, str] = {}
         self._ended = ""
+        self._counted: dict[str, int] = {}
+        self._is_discarded = False
         self._is_over = threading.Event()
         self._thread = threading.Thread(target=self._run, name="log writer")
         self._thread.start()
@@ -112,6 +114,10 @@ class LiveRecording:
         """Say something in the log's info that became known while recording."""
         self._writer.note(name, text)
 
+    def count(self, name: str, number: int) -> None:
+        """Say a number among the counts of the log's info, such as samples that a bus lost."""
+        self._counted[name] = number
+
     def wait(self, seconds: float | None = None) -> bool:
         """Wait until the recording is over, or so long; whether it is over."""
         return self._is_over.wait(seconds)
@@ -131,6 +137,11 @@ class LiveRecording:
         if self.error is not None:
             raise self.error
         return self.summary
+
+    def discard(self) -> None:
+        """End the recording and leave no log: nothing came that is worth one."""
+        self._is_discarded = True
+        self.close()
 
     def __enter__(self) -> Self:
         return self
@@ -163,7 +174,10 @@ class LiveRecording:
         try:
             with self._writer:
                 ended = self._write()
-                self._writer.close(ended)
+                if self._is_discarded:
+                    self._writer.discard()
+                else:
+                    self._writer.close(ended)
         except LogError as error:
             self.error = error
         except Exception as error:  # noqa: BLE001 (in a thread, else nobody would hear of it)
@@ -204,4 +218,4 @@ class LiveRecording:
         for topic in self._queue.topics:
             if dropped := self._queue.tally(topic).dropped:
                 counts[f"dropped.{topic}"] = dropped
-        return counts
+        return counts | self._counted

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import FrameType
 
 from tunenet_logs.episode import Episode
+from tunenet_logs.importing import JOINT_PARTS, joint_topics
 from tunenet_logs.messages import CAMERA_TOPIC
 from tunenet_logs.progress import Progress
 from tunenet_logs.writer import EpisodeWriter
@@ -62,14 +64,14 @@ def stop_flag() -> Iterator[threading.Event]:
 def record_episode(
     episode: Episode, path: Path, *, overwrite: bool, progress: Progress, min_free_bytes: int = 0
 ) -> Summary:
-    """Write the positions or pictures of a simulated episode as if they came from a sensor.
+    """Write positions, joints and pictures of a simulated episode as if they came from sensors.
 
     Raises:
         LogError: `path` exists or cannot be written, or its disk has less than `min_free_bytes`
             left; what was written before is kept.
     """
-    total = sum(len(one.stamps_ns) for one in episode.signals.values())
-    total += sum(channel.messages for channel in episode.channels)
+    samples = list(_samples(episode))
+    total = len(samples) + sum(channel.messages for channel in episode.channels)
     with (
         stop_flag() as stop,
         EpisodeWriter(
@@ -77,12 +79,11 @@ def record_episode(
         ) as writer,
         progress.bar(total, "recording", "sample") as bar,
     ):
-        for topic, one in episode.signals.items():
-            for stamp_ns, position_m in zip(one.stamps_ns, one.values, strict=True):
-                if stop.is_set():
-                    break
-                writer.write_pose(topic, int(stamp_ns), position_m)
-                bar.update(1)
+        for write in samples:
+            if stop.is_set():
+                break
+            write(writer)
+            bar.update(1)
         for frame in episode.frames():
             if stop.is_set():
                 break
@@ -91,3 +92,31 @@ def record_episode(
         ended = "stopped by a signal" if stop.is_set() else ""
         writer.close(ended)
     return Summary(writer.accepted, writer.written, writer.accepted - writer.written, ended)
+
+
+def _samples(episode: Episode) -> Iterator[Callable[[EpisodeWriter], None]]:
+    """What writes each position and each state of joints, in the order of its topic."""
+    joints = joint_topics(episode)
+    of_joints = {id(one) for parts in joints.values() for one in parts.values()}
+    for topic, one in episode.signals.items():
+        if id(one) not in of_joints:
+            for stamp_ns, position_m in zip(one.stamps_ns.tolist(), one.values, strict=True):
+                yield partial(
+                    EpisodeWriter.write_pose,
+                    topic=topic,
+                    stamp_ns=stamp_ns,
+                    position_m=position_m,
+                )
+    for topic, parts in joints.items():
+        position, velocity, effort = (parts.get(part) for part in JOINT_PARTS)
+        first = next(iter(parts.values()))
+        for row, stamp_ns in enumerate(first.stamps_ns.tolist()):
+            yield partial(
+                EpisodeWriter.write_joints,
+                topic=topic,
+                stamp_ns=stamp_ns,
+                names=first.columns,
+                position_rad=() if position is None else position.values[row],
+                velocity_rad_s=() if velocity is None else velocity.values[row],
+                effort_nm=() if effort is None else effort.values[row],
+            )

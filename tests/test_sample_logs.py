@@ -9,25 +9,31 @@ from pathlib import Path
 
 import pytest
 
+from analysis.campaign.build import campaign_of
+from analysis.campaign.rates import overall_rates
+from analysis.tasks.base import Selection
 from analysis.tuning import Options, tune_log
 from tests.conftest import BIN, ROOT
+from tunenet_logs.progress import Progress
 
 FOLDER = ROOT / "sample_logs"
 SAMPLES = sorted(FOLDER.glob("*.mcap"))
+CAMPAIGN = sorted((FOLDER / "campaign").glob("*.mcap"))
+DROPS = [path for path in SAMPLES if not path.name.startswith("payload")]
 
 
 def test_there_are_samples():
     assert SAMPLES
 
 
-@pytest.mark.parametrize("path", SAMPLES, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", [*SAMPLES, *CAMPAIGN], ids=lambda path: path.stem)
 def test_readme_names_its_checksum(path: Path):
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     rows = (FOLDER / "README.md").read_text().splitlines()
     assert any(path.name in row and digest in row for row in rows)
 
 
-@pytest.mark.parametrize("path", SAMPLES, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", DROPS, ids=lambda path: path.stem)
 def test_tunes_to_its_truth(path: Path):
     tuning = tune_log(path, Options())
     assert tuning.verdict == "ok"
@@ -36,9 +42,42 @@ def test_tunes_to_its_truth(path: Path):
     assert abs(tuning.estimate[0] - tuning.episode.info.truth["restitution"]) < 0.003
 
 
+def test_the_payload_is_weighed_with_its_tare():
+    selection = Selection(tare=FOLDER / "payload_empty.mcap")
+    tuning = tune_log(FOLDER / "payload.mcap", Options(selection=selection))
+    assert tuning.verdict == "ok"
+    assert tuning.estimate is not None
+    assert tuning.interval95 is not None
+    assert abs(tuning.estimate[0] - 0.8) < 0.025
+    low, high = tuning.interval95[0]
+    assert low < 0.8 < high
+
+
 def test_the_recorder_writes_the_same_bytes_again(tmp_path: Path):
     shutil.copy(FOLDER / "record.sh", tmp_path)
     script = ["sh", str(tmp_path / "record.sh"), str(BIN / "tunenet-record")]
     subprocess.run(script, check=True, capture_output=True, timeout=120)
     for path in SAMPLES:
         assert (tmp_path / path.name).read_bytes() == path.read_bytes()
+
+
+def test_the_recorder_writes_the_campaign_again(tmp_path: Path):
+    shutil.copy(FOLDER / "campaign" / "record.sh", tmp_path)
+    script = ["sh", str(tmp_path / "record.sh"), str(BIN / "tunenet-record")]
+    subprocess.run(script, check=True, capture_output=True, timeout=120)
+    assert sorted(one.name for one in tmp_path.glob("*.mcap")) == [one.name for one in CAMPAIGN]
+    for path in CAMPAIGN:
+        assert (tmp_path / path.name).read_bytes() == path.read_bytes()
+
+
+def test_the_campaign_is_small_and_tells_what_happened():
+    assert sum(path.stat().st_size for path in CAMPAIGN) < 1_500_000
+    attempts = campaign_of([FOLDER / "campaign"], 2, Progress(quiet=True), pytest.fail).attempts
+    assert [one.ball for one in attempts] == ["red gel", "racquetball"] * 3
+    assert [len(one.drops) for one in attempts] == [1, 1, 2, 1, 1, 1]
+    every, accepted, rejected = overall_rates(attempts)
+    assert (every.successes, every.count) == (4, 6)
+    assert (accepted.successes, accepted.count) == (4, 5)
+    assert (rejected.successes, rejected.count) == (0, 1)
+    truths = [0.789, 0.741, 0.793, 0.738, 0.786]
+    assert [one.value for one in attempts[:5]] == pytest.approx(truths, abs=0.003)

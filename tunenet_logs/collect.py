@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -167,6 +167,18 @@ class PictureStamps:
         """Whether the pictures' own stamps tell the time, and if not, why not."""
         is_header, reasons = trusts_header(np.array(self._header_ns, np.int64))
         return is_header, [f"{self._topic}: {reason}" for reason in reasons]
+
+
+def named(signal: Signal, names: Sequence[str]) -> Signal:
+    """The same with these names for joints, where its messages carry none.
+
+    Args:
+        signal: of joints, or of anything else, which stays as it is.
+        names: as many as it has joints, else it stays as it is.
+    """
+    if signal.columns != _numbered(len(names)) or len(set(names)) < len(names):
+        return signal
+    return replace(signal, columns=tuple(names))
 
 
 def _numbered(count: int) -> tuple[str, ...]:

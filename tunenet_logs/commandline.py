@@ -42,6 +42,13 @@ class Parser(argparse.ArgumentParser):
         raise UsageError(f"{message} (see {self.prog} --help)")
 
 
+BLAS_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""Where NumPy looks, when it is loaded, for how many threads to use.
+
+Our matrices are small: a second thread mostly waits for the first, and on a busy machine both wait.
+"""
+
+
 def run(
     parser: Parser, body: Callable[[argparse.Namespace], int], argv: Sequence[str] | None
 ) -> int:
@@ -51,6 +58,8 @@ def run(
         The exit code: that of `body`, 1 or 2 for a known error, 130 for Ctrl-C, 143 for SIGTERM.
     """
     words = list(sys.argv[1:] if argv is None else argv)
+    for name in BLAS_THREADS:
+        os.environ.setdefault(name, "1")
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a name that the terminal cannot show
             stream.reconfigure(errors="backslashreplace")

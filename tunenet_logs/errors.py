@@ -21,6 +21,10 @@ class CameraError(TuneNetError):
     """A camera or video that cannot be recorded."""
 
 
+class TopicError(TuneNetError):
+    """A live topic that cannot be recorded."""
+
+
 class WeightsError(TuneNetError):
     """Network weights that are damaged, or meant for something else."""
 

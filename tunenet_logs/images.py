@@ -77,6 +77,34 @@ def decode_image(data: bytes, encoding: str) -> NDArray[np.uint8]:
     return np.asarray(pixels, np.uint8)
 
 
+def decode_small(data: bytes, encoding: str, least_px: int) -> NDArray[np.uint8]:
+    """Decode to RGB as `decode_image` does, but a JPEG at a half, quarter or eighth of its size.
+
+    Args:
+        data: the picture.
+        encoding: what it is called.
+        least_px: which its longer side is not to fall below.
+
+    Raises:
+        LogError: damaged, or of a size that cannot be true.
+    """
+    longer = max(image_size(data))
+    parts = [part for part in (8, 4, 2) if longer >= part * least_px]
+    if not parts or image_format(data) != "jpeg":
+        return decode_image(data, encoding)
+    import cv2
+
+    flags = {2: cv2.IMREAD_REDUCED_COLOR_2, 4: cv2.IMREAD_REDUCED_COLOR_4}
+    flag = flags.get(parts[0], cv2.IMREAD_REDUCED_COLOR_8) | cv2.IMREAD_IGNORE_ORIENTATION
+    try:
+        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flag)
+    except cv2.error:
+        pixels = None
+    if pixels is None or pixels.ndim != 3:
+        raise LogError(f"an image of encoding {encoding[:24]!r} is damaged and cannot be decoded")
+    return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), np.uint8)
+
+
 def _jpeg_size(data: bytes) -> tuple[int, int] | None:
     """Strictly: markers that a decoder skips in another way could show us another size."""
     at = 2

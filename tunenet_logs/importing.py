@@ -16,7 +16,7 @@ from tunenet_logs.progress import Progress
 from tunenet_logs.reader import read_episode
 from tunenet_logs.writer import EpisodeWriter
 
-_JOINT_PARTS = ("position", "velocity", "effort")
+JOINT_PARTS = ("position", "velocity", "effort")
 _POSITION_COLUMNS = ("x", "y", "z")
 _MOST_REASONS = 3
 """So many losses are told where nothing was left to import."""
@@ -59,7 +59,7 @@ def import_log(
     if output.exists() and path.exists() and output.samefile(path):
         raise UsageError(f"{output}: is the log itself, which is never changed; choose another -o")
     episode = read_episode(path)
-    topics = _Topics({*episode.signals, *episode.picture_topics, *_joint_topics(episode)})
+    topics = _Topics({*episode.signals, *episode.picture_topics, *joint_topics(episode)})
     streams = [*_signal_streams(episode, topics), *_picture_streams(episode, topics)]
     if not streams:
         raise LogError(_why_nothing(path, episode))
@@ -137,16 +137,16 @@ def _signal_streams(
     for name, signal in episode.signals.items():
         if signal.columns == _POSITION_COLUMNS and signal.unit == "m":
             yield _poses(topics.claim(name), signal)
-    for topic, parts in _joint_topics(episode).items():
+    for topic, parts in joint_topics(episode).items():
         yield _joint_states(topics.claim(topic), parts)
 
 
-def _joint_topics(episode: Episode) -> dict[str, dict[str, Signal]]:
+def joint_topics(episode: Episode) -> dict[str, dict[str, Signal]]:
     """The parts of what each topic says of joints."""
     joints: dict[str, dict[str, Signal]] = {}
     for name, signal in episode.signals.items():
         topic, _, part = name.rpartition(".")
-        if part in _JOINT_PARTS and signal.columns != _POSITION_COLUMNS:
+        if part in JOINT_PARTS and signal.columns != _POSITION_COLUMNS:
             joints.setdefault(topic, {})[part] = signal
     return joints
 
@@ -166,7 +166,7 @@ def _joint_states(topic: str, parts: dict[str, Signal]) -> Iterator[tuple[int, s
     for row, stamp_ns in enumerate(first.stamps_ns.tolist()):
 
         def write(writer: EpisodeWriter, stamp: int = stamp_ns, row: int = row) -> None:
-            values = [parts[one].values[row] if one in parts else () for one in _JOINT_PARTS]
+            values = [parts[one].values[row] if one in parts else () for one in JOINT_PARTS]
             writer.write_joints(topic, stamp, first.columns, *values)
 
         yield stamp_ns, topic, write

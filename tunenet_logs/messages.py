@@ -1,7 +1,7 @@
 """The ROS 2 messages that logs hold: definition text and encoding.
 
 Types and CDR serialization come from rosbags; the definitions are those of ROS 2 Humble, which the
-later distributions share for every type used here.
+later distributions share for every type used here, Kinova's for its own, and one of ours.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from tunenet_logs.episode import Frame
@@ -21,9 +21,33 @@ POSE = "geometry_msgs/msg/PoseStamped"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 IMAGE = "sensor_msgs/msg/Image"
 JOINT_STATE = "sensor_msgs/msg/JointState"
+JOINT_ANGLES = "kinova_msgs/msg/JointAngles"
+TASK_OUTCOME = "tunenet_msgs/msg/TaskOutcome"
+
+SEVEN_JOINTS = "\n".join(f"float32 joint{number}" for number in range(1, 8))
+"""How Kinova defines JointAngles, JointTorque and JointVelocity."""
+
+OUTCOME_FIELDS = """\
+std_msgs/Header header
+string task
+string ball
+uint32 attempt
+bool success
+float64 shot_height
+float64 miss_distance
+float64 tuned_parameter
+string drop_log
+string tuning
+string reason
+string note
+"""
+"""How we define TaskOutcome: what the hardware did in one attempt; [m], NaN where not known."""
 
 CAMERA_TOPIC = "/camera/image_raw/compressed"
 """Where a camera's frames go in our own logs."""
+
+OUTCOME_TOPIC = "/task/outcome"
+"""Where what the hardware did goes."""
 
 INFO_RECORD = "tunenet/episode"
 """The metadata record of a log that holds its EpisodeInfo."""
@@ -32,7 +56,10 @@ INFO_RECORD = "tunenet/episode"
 @cache
 def typestore() -> Typestore:
     """The store of message types that this project writes."""
-    return get_typestore(Stores.ROS2_HUMBLE)
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    store.register(get_types_from_msg(SEVEN_JOINTS, JOINT_ANGLES))
+    store.register(get_types_from_msg(OUTCOME_FIELDS, TASK_OUTCOME))
+    return store
 
 
 @cache

@@ -8,7 +8,7 @@ from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
-from tunenet_logs.collect import JointRows, PictureStamps, PositionRows
+from tunenet_logs.collect import JointRows, PictureStamps, PositionRows, named
 from tunenet_logs.episode import Episode, EpisodeInfo, Frame, Signal
 from tunenet_logs.errors import LogError
 from tunenet_logs.formats import opening
@@ -90,9 +90,11 @@ class _Gathered:
         remarks = [text for one in topics for text in one.remarks()]
         signals, seconds, notes = _signals(topics)
         by_log = _untold(topics, notes)
+        info = EpisodeInfo.from_strings(self.info)
+        joints = tuple(filter(None, info.notes.get("joint_names", "").split(",")))
         return Episode(
-            info=EpisodeInfo.from_strings(self.info),
-            signals=signals,
+            info=info,
+            signals={name: named(one, joints) for name, one in signals.items()},
             channels=tuple(one.summary(is_second=one in seconds) for one in topics),
             warnings=(*_in_words(losses), *damaged, *remarks, *notes),
             losses=(*(str(one) for one in losses if not one.harmless), *damaged),

@@ -13,8 +13,9 @@ from tunenet_logs.episode import Channel
 from tunenet_logs.formats.base import DAMAGED, BeyondLimitError, RawChannel, described
 from tunenet_logs.formats.codec import Decode, MessageError, UnusableError
 from tunenet_logs.formats.codecs import check_encoding, decoder_for
-from tunenet_logs.formats.kinds import Joints, Pictures, Positions, kind_of
+from tunenet_logs.formats.kinds import Joints, Pictures, Positions, kind_of, type_key
 from tunenet_logs.formats.pictures import checked
+from tunenet_logs.messages import TASK_OUTCOME
 
 _LAST_NS = 2**63 - 1
 """The last stamp that fits int64: in the year 2262."""
@@ -45,7 +46,9 @@ class TopicContents:
         try:
             check_encoding(channel)
             if self._kind is None:
-                raise UnusableError("its type is not one that a task uses")
+                is_outcome = type_key(channel.type_name) == TASK_OUTCOME
+                use = "for tunenet-review" if is_outcome else "its type is not one that a task uses"
+                raise UnusableError(use)
             self._decode = decoder_for(channel)
         except UnusableError as reason:
             self._unusable = str(reason)

@@ -6,7 +6,7 @@ import argparse
 import sys
 from dataclasses import replace
 
-from recorders.simulators.balls import BALLS, Ball, ball_named
+from recorders.simulators.balls import BALLS, Ball, ball_named, contradict
 from tunenet_logs.commandline import number
 from tunenet_logs.errors import UsageError
 
@@ -43,6 +43,11 @@ def ball_as_told(arguments: argparse.Namespace) -> Ball:
     """
     ball = Ball() if arguments.ball is None else ball_named(arguments.ball)
     diameter_m, mass_kg = arguments.ball_diameter, arguments.ball_mass
+    if contradict(Ball(diameter_m, mass_kg), ball):
+        print(
+            f"tunenet-tune: the ball {arguments.ball} has {ball.words}; what was measured is used",
+            file=sys.stderr,
+        )
     if diameter_m is not None:
         ball = replace(ball, diameter_m=diameter_m, mass_kg=None if mass_kg else ball.mass_kg)
     if mass_kg is not None:

@@ -21,6 +21,7 @@ ships were written by this command, with its defaults."""
 _EXAMPLES = """\
   tunenet-train drop -o drop.safetensors
   tunenet-train drop-video -o film.safetensors       (a minute on two cores)
+  tunenet-train payload -o payload.safetensors
   tunenet-train drop --preset paper-code --seed 3 -o paper-code-3.safetensors
   tunenet-tune drop.mcap --weights drop.safetensors"""
 
@@ -31,7 +32,7 @@ def build_parser() -> Parser:
     """The command's arguments."""
     parser = Parser("tunenet-train", _DESCRIPTION, _EXAMPLES)
     add = parser.add_argument
-    add("task", choices=["drop", "drop-video"], help="what to learn to tune")
+    add("task", choices=["drop", "drop-video", "payload"], help="what to learn to tune")
     add(
         "-o",
         "--output",
@@ -44,13 +45,13 @@ def build_parser() -> Parser:
         "--pairs",
         type=whole(10, 10_000_000),
         metavar="N",
-        help="training pairs (default: 51200; paper's presets: 800)",
+        help="training pairs (default: 51200, payload 15360; paper's presets: 800, payload 1000)",
     )
     add(
         "--epochs",
         type=whole(1, 1_000_000),
         metavar="N",
-        help="passes over them (default: 20; paper's presets: 200)",
+        help="passes over them (default: 20, payload 40; paper's presets: 200, payload 1000)",
     )
     add(
         "--seed",

@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from analysis.cli.arm import arm_as_told, arm_options
 from analysis.cli.ball import ball_as_told, ball_options
 from analysis.cli.options import jobs_option, preset_option
 from tunenet_logs.commandline import Parser, number, run, whole
@@ -22,10 +23,11 @@ if TYPE_CHECKING:
 
 _DESCRIPTION = """\
 Find the physical parameters that make a simulator move as a log shows: for a
-dropped ball, its coefficient of restitution. Reads videos (.mp4, .mov, ...), tables
-(.csv) and logs (MCAP, ROS 1 .bag, ROS 2 .db3 and bag folders) that hold the ball's
-position (PoseStamped, Odometry, TF, ...) or a camera's pictures under any topic, ours
-or not.
+dropped ball, its coefficient of restitution; for an arm that moves and holds something,
+its mass. Reads videos (.mp4, .mov, ...), tables (.csv) and logs (MCAP, ROS 1 .bag,
+ROS 2 .db3 and bag folders) that hold the ball's position (PoseStamped, Odometry, TF,
+...), a camera's pictures, or joints with their torques (JointState, Kinova's) under
+any topic, ours or not.
 
 Writes NAME.json (the result) and NAME.rrd (the review, for `rerun NAME.rrd`)
 beside each log, and prints a table. Exit code 1 if a log was rejected."""
@@ -40,6 +42,8 @@ _EXAMPLES = """\
   tunenet-tune phone.mp4 --ball-diameter 0.04 --ball-mass 0.0027
   tunenet-tune mocap.mcap --topic /vrpn/ball/pose --start 3.5 --end 8
   tunenet-tune drop.mcap --iterations 10 --initial 0.5
+  tunenet-tune payload.bag --tare empty.bag        (what a Jaco holds)
+  tunenet-tune run.mcap --urdf arm.urdf --tool-link flange
   tunenet-tune drop.mcap --weights my-drop.safetensors"""
 
 
@@ -49,11 +53,15 @@ def build_parser() -> Parser:
     add = parser.add_argument
     add("logs", nargs="+", type=Path, metavar="LOG", help="log to tune from")
     add("-o", "--output", type=Path, metavar="DIR", help="folder for the results")
-    add("--task", choices=["drop"], help="what the log shows (default: what it says itself)")
+    add(
+        "--task",
+        choices=["drop", "payload"],
+        help="what the log shows (default: what it says itself, or what is in it)",
+    )
     add(
         "--topic",
         help="channel with the ball's position (default: /ball/pose, one named like a "
-        "ball, else the first in which a ball drops), or with pictures of it",
+        "ball, else the first in which a ball drops), with pictures of it, or with torques",
     )
     add("--start", type=number(0, 1e9, "s"), metavar="S", help="leave out what comes before [s]")
     add("--end", type=number(0, 1e9, "s"), metavar="S", help="leave out what comes after [s]")
@@ -61,6 +69,7 @@ def build_parser() -> Parser:
         parser.add_argument_group("ball in pictures (found by its flight if not told)")
     )
     ball_options(parser.add_argument_group("ball in pictures, where it is known"))
+    arm_options(parser.add_argument_group("payload of an arm"))
     preset_option(parser)
     add(
         "--method",
@@ -77,9 +86,10 @@ def build_parser() -> Parser:
     )
     add(
         "--initial",
-        type=number(0, 1),
+        type=number(0, 1000),
         metavar="X",
-        help="restitution to start from (default: 0, a ball that does not bounce)",
+        help="restitution or mass [kg] to start from (default: 0, a ball that does not bounce; "
+        "0.5 kg)",
     )
     add("--weights", type=Path, metavar="FILE", help="weights by tunenet-train (default: shipped)")
     jobs_option(parser, "logs at a time")
@@ -171,6 +181,8 @@ def _tune(arguments: argparse.Namespace) -> int:
         Hints(arguments.roi, arguments.hsv, arguments.ball_at),
         ball_as_told(arguments),
         arguments.fit_drag,
+        arguments.tare,
+        arm_as_told(arguments),
     )
     options = Options(
         task=arguments.task,

@@ -11,12 +11,11 @@ from dataclasses import dataclass
 from multiprocessing import active_children, get_context
 from typing import Generic, TypeVar
 
+from tunenet_logs.commandline import BLAS_THREADS
 from tunenet_logs.progress import Progress
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @dataclass(frozen=True)
@@ -72,8 +71,8 @@ def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
 
     They are used for one job too: how many threads add up a product decides its last bits.
     """
-    before = {name: os.environ.get(name) for name in _THREADS}
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    before = {name: os.environ.get(name) for name in BLAS_THREADS}
+    os.environ.update(dict.fromkeys(BLAS_THREADS, "1"))
     pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"))
     try:
         yield pool

@@ -55,6 +55,7 @@ class FilmedDrop:
         drop: its heights by the projection, contact at 0.
         left_out: impacts before it, after deeper falls, from which no drop could be fitted.
         later_s: impacts after it, after falls as deep, on the drop's clock.
+        flights: how many it is made of where the ball bounces otherwise after them; None where not.
     """
 
     track: Track
@@ -66,6 +67,7 @@ class FilmedDrop:
     drop: Drop
     left_out: int
     later_s: tuple[float, ...]
+    flights: int | None = None
 
     @property
     def best(self) -> FilmFit:
@@ -102,9 +104,16 @@ def find_filmed_drop(
     bent_px = _STRAIGHT * span
     bent = max(0.0, 1 - (noise_px / bent_px) ** 2)
     noise_px = max(noise_px, bent_px)
-    whole = Samples(seconds, along, noise_px, bent, drag_1_m * CALIBRATED.gravity_m_s2 / 2)
+    whole = Samples(
+        seconds=seconds,
+        places_px=along,
+        noise_px=noise_px,
+        bent=bent,
+        drag_1_s2=drag_1_m * CALIBRATED.gravity_m_s2 / 2,
+        exposure_s=min(track.exposure_s, float(np.median(np.diff(seconds)))),
+    )
     balls = (DRAGGED,) if fit_drag else (SLOPED,) if drag_1_m else (SLOPED, DRAGGED)
-    fits = find_fits(whole, balls)
+    fits, flights = find_fits(whole, balls)
     best = told_by(fits)
     projection = best.projection()
     begin = int(np.searchsorted(seconds, best.samples.seconds[0] - _MARGIN_S))
@@ -122,6 +131,7 @@ def find_filmed_drop(
         drop=_drop(seconds[begin:last], along[begin:last], projection, noise_px, begin),
         left_out=left_out(whole, projection),
         later_s=later_impacts_s(whole, best),
+        flights=flights,
     )
 
 

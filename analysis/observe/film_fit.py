@@ -52,6 +52,7 @@ class Samples:
         bent: share of its square that is no noise but what a lens may bend.
         drag_1_s2: drag [1/m] that is known, times half the gravity: with T0^2 times it, the drag
             times the drop height.
+        exposure_s: for which a shutter may have been open, around the time of a sample.
     """
 
     seconds: Array
@@ -59,6 +60,7 @@ class Samples:
     noise_px: float
     bent: float = 0.0
     drag_1_s2: float = 0.0
+    exposure_s: float = 0.0
 
     def bounce(self, unknowns: Array) -> Bounce:
         """The ball of these unknowns."""

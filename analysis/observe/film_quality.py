@@ -24,6 +24,7 @@ _STEP_PX, _SAME_PX = 1.5, 0.02
 _CLOCK = 12.0
 _GROWS, _PERSPECTIVES_APART = 0.2, 0.2
 _SDS = 4.0
+_FEWEST_FLIGHTS = 2
 
 
 def film_checks(film: FilmedDrop) -> list[Check]:
@@ -68,6 +69,15 @@ def film_checks(film: FilmedDrop) -> list[Check]:
             f"{100 * residual:.2f} % of the drop height off, rms (at most {100 * _RESIDUAL:.0f})",
             fatal=residual > _REJECT_RESIDUAL or worst > _REJECT_WORST,
             advice="let the ball bounce in the middle of a flat table, with nothing in its way",
+        ),
+        Check(
+            "bounces alike",
+            film.flights is None or film.flights >= _FEWEST_FLIGHTS,
+            "all that are seen"
+            if film.flights is None
+            else f"only until the {film.flights + 1}. impact, what comes later is left out "
+            f"(wanted: {_FEWEST_FLIGHTS} flights or more)",
+            advice="a round ball, a flat and level table",
         ),
         Check(
             "even clock",

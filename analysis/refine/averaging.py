@@ -22,7 +22,7 @@ class Opinion:
     Attributes:
         middle: the value.
         sds: standard deviations to below and above.
-        weight: of the model; those of all models add up to 1.
+        weight: of the model, beside those of the others: they need not add up to 1.
     """
 
     middle: float
@@ -30,24 +30,31 @@ class Opinion:
     weight: float
 
 
-def average(opinions: Sequence[Opinion]) -> tuple[float, tuple[float, float]]:
-    """Mean and 95 % interval of a share that is told by normal distributions, within 0 and 1."""
-    mean = sum(one.weight * one.middle for one in opinions)
-    mean = float(np.clip(mean, 0.0, 1.0))
+def average(
+    opinions: Sequence[Opinion], least: float = 0.0, most: float = 1.0
+) -> tuple[float, tuple[float, float]]:
+    """Mean and 95 % interval of what normal distributions tell, within `least` and `most`."""
+    total = sum(one.weight for one in opinions)
+    mean = sum(one.weight * one.middle for one in opinions) / total
+    mean = float(np.clip(mean, least, most))
     low, high = (_quantile(opinions, side) for side in (0, 1))
-    return mean, (max(0.0, min(low, mean)), min(1.0, max(high, mean)))
+    return mean, (min(max(low, least), mean), max(min(high, most), mean))
 
 
 def _quantile(opinions: Sequence[Opinion], side: int) -> float:
     from scipy.optimize import brentq
-    from scipy.stats import norm
+    from scipy.special import ndtr
+
+    weights = np.array([one.weight for one in opinions])
+    weights /= weights.sum()
+    middles = np.array([one.middle for one in opinions])
+    sds = np.array([one.sds[side] for one in opinions])
 
     def excess(value: float) -> float:
-        shares = (one.weight * norm.cdf((value - one.middle) / one.sds[side]) for one in opinions)
-        return float(sum(shares)) - _TAILS[side]
+        return float(weights @ ndtr((value - middles) / sds)) - _TAILS[side]
 
-    ends = [one.middle + sign * 9 * one.sds[side] for one in opinions for sign in (-1, 1)]
-    found: Any = brentq(excess, min(ends), max(ends), xtol=1e-9)
+    low, high = float(np.min(middles - 9 * sds)), float(np.max(middles + 9 * sds))
+    found: Any = brentq(excess, low, high, xtol=1e-9)
     return float(found)
 
 

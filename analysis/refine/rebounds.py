@@ -100,11 +100,8 @@ def _clear_flights(starts: Array, speeds: Array, times: Array, fit: FilmFit) -> 
 
 def _impact_speeds(ball: Bounce, leaving: Array) -> Array:
     """Of the impacts that the ball leaves with these speeds [drop heights, sqrt(2 H / g)]."""
-    speeds = [ball.fall_speed(1.0)]
-    for speed in leaving[:-1]:
-        apex, _ = ball.apex(float(speed))
-        speeds.append(ball.fall_speed(apex))
-    return np.array(speeds)
+    later = [ball.flight(float(speed))[1] for speed in leaving[:-1]]
+    return np.array([ball.impact_speed, *later])
 
 
 def _fitted(fit: FilmFit, law: Bounce, first: Array) -> tuple[Array, Array]:

@@ -9,25 +9,42 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import rerun as rr
 import rerun.blueprint as rrb
 
-from analysis.observe.film import FilmedDrop
-from analysis.review.bounces import bounce_view, log_bounces
-from analysis.review.film import film_aspect, film_view, log_film, log_recorded_film
-from analysis.review.plots import height_view, log_plots, residual_view
-from analysis.review.scene import log_scene, scene_view
-from analysis.review.sending import ITERATION, LOG_TIME, entity_of, send_scalars
-from analysis.review.sheets import convergence_view, height_sheet_view, log_sheets, step_view
-from analysis.review.story import Story, story_of
+from analysis.review.drop import log_drop
+from analysis.review.film import log_recorded_film
+from analysis.review.payload import log_payload
+from analysis.review.sending import LOG_TIME, entity_of, send_scalars
 from analysis.review.words import result_words
+from analysis.tasks.found_drop import FoundDrop
+from analysis.tasks.found_payload import FoundPayload
 from analysis.tuning import Tuning
 from tunenet_logs.wording import one_line
 
+_REVIEWS: dict[type, Callable[[rr.RecordingStream, Tuning], rrb.Container]] = {
+    FoundDrop: log_drop,
+    FoundPayload: log_payload,
+}
+"""What is drawn of what was found, and how it is laid out."""
+
 _MOST_CURVES = 150
 """Of a log in which nothing was found: more can neither be told apart nor be loaded soon."""
+
+_MOST_VIEWS = 4
+_MOST_NAMES = 13
+_BESIDE = 1.6
+"""How much longer than the curves an axis is that has a legend beside them."""
+_QUANTITIES = {
+    "m": "positions",
+    "rad": "joint positions",
+    "rad/s": "joint velocities",
+    "N·m": "joint torques",
+}
+"""Of a unit."""
 
 
 def write_review(tuning: Tuning, path: Path) -> None:
@@ -38,82 +55,64 @@ def write_review(tuning: Tuning, path: Path) -> None:
     """
     told = os.fsencode(tuning.log.resolve()) + f" {tuning.preset} {tuning.digest}".encode()
     identity = hashlib.sha256(told).hexdigest()[:16]
-    kind = "drop" if tuning.found else "log"
-    stream = rr.RecordingStream(f"tunenet review {kind}", recording_id=identity)
+    stream = rr.RecordingStream(f"tunenet review {tuning.task or 'log'}", recording_id=identity)
     memory = stream.memory_recording()  # Rerun's own file sink only prints that a disk is full
     stream.send_recording_name(os.fsencode(tuning.log.name).decode(errors="replace"))
     text = result_words(tuning)
     if tuning.found is None:
-        left_out = _log_recorded(stream, tuning)
+        views, left_out = _log_recorded(stream, tuning)
         text += f"\n\n- {left_out} more curves are not drawn" if left_out else ""
-        filmed = log_recorded_film(stream, tuning)
-        stream.send_blueprint(_blueprint(_recorded_layout(filmed)))
+        layout = _recorded_layout(views, log_recorded_film(stream, tuning))
     else:
-        story = story_of(tuning)
-        log_plots(stream, story)
-        log_scene(stream, story)
-        log_sheets(stream, story)
-        if story.bounces:
-            log_bounces(stream, story)
-        if tuning.found.film is not None:
-            log_film(stream, tuning, story)
-        stream.send_blueprint(_blueprint(_tuning_layout(story, tuning.found.film)))
+        layout = _REVIEWS[type(tuning.found)](stream, tuning)
+    stream.send_blueprint(_blueprint(layout))
     stream.log("result", rr.TextDocument(text, media_type="text/markdown"), static=True)
     stream.flush()
     path.write_bytes(memory.drain_as_bytes())
     stream.disconnect()
 
 
-def _log_recorded(stream: rr.RecordingStream, tuning: Tuning) -> int:
-    """What was recorded, where the task found nothing in it; how many curves are left out."""
+def _log_recorded(stream: rr.RecordingStream, tuning: Tuning) -> tuple[list[rrb.View], int]:
+    """What was recorded, where the task found nothing in it: views by unit, curves left out."""
     signals = tuning.episode.signals if tuning.episode else {}
     curves = [(one, index) for one in signals.values() for index in range(len(one.columns))]
+    by_unit: dict[str, list[str]] = {}
     for signal, index in curves[:_MOST_CURVES]:
         column = signal.columns[index]
         entity = entity_of("recorded", signal.name, column)
         name = one_line(f"{signal.name} {column}")
         stream.log(entity, rr.SeriesLines(names=[name]), static=True)
         send_scalars(stream, entity, signal.seconds, signal.values[:, index])
-    return max(0, len(curves) - _MOST_CURVES)
+        by_unit.setdefault(signal.unit, []).append(entity)
+    last_s = max((float(one.seconds[-1]) for one in signals.values()), default=0.0)
+    views = [_recorded_view(unit, some, last_s) for unit, some in by_unit.items()]
+    return views[:_MOST_VIEWS], max(0, len(curves) - _MOST_CURVES)
 
 
-def _tuning_layout(story: Story, film: FilmedDrop | None) -> rrb.Container:
-    """Two tabs, to play and to scrub; with the video first where there is one."""
+def _recorded_view(unit: str, entities: list[str], last_s: float) -> rrb.View:
+    """Curves of one unit; their legend, where it fits, stands beside them."""
+    has_legend = len(entities) <= _MOST_NAMES
+    begin, end = 0.0, max(last_s, 1e-3) * (_BESIDE if has_legend else 1.0)
+    seconds = rr.TimeRange(
+        start=rrb.TimeRangeBoundary.absolute(seconds=begin),
+        end=rrb.TimeRangeBoundary.absolute(seconds=end),
+    )
+    return rrb.TimeSeriesView(
+        origin="/recorded",
+        contents=[f"+ {one}" for one in entities],
+        name=one_line(f"recorded {_QUANTITIES.get(unit, 'values')} [{unit}]"),
+        axis_x=rrb.TimeAxis(view_range=seconds),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=has_legend),
+    )
+
+
+def _recorded_layout(views: list[rrb.View], filmed: bool) -> rrb.Container:
     result = rrb.TextDocumentView(origin="/result", name="result")
-    charts = _charts(story)
-    words = rrb.Vertical(result, *charts, row_shares=[5, *[2.6] * len(charts)])
-    curves = rrb.Vertical(
-        scene_view(story), height_view(story), residual_view(story), row_shares=[4, 4, 3]
-    )
-    name = f"overlay (timeline {LOG_TIME})"
-    if film is None:
-        overlay = rrb.Horizontal(curves, words, column_shares=[3, 2], name=name)
-    else:
-        share = min(max(3 * film_aspect(film), 1.2), 3.5)
-        video = film_view(film, story)
-        overlay = rrb.Horizontal(video, curves, words, column_shares=[share, 3, 3], name=name)
-    scrub = rrb.Horizontal(
-        height_sheet_view(),
-        rrb.Vertical(step_view(), *_charts(story)),
-        column_shares=[5, 3],
-        name=f"scrub (timeline {ITERATION})",
-    )
-    return rrb.Tabs(overlay, scrub, active_tab=0)
-
-
-def _charts(story: Story) -> list[rrb.View]:
-    """Those that stay; made anew for each tab, because a view is shown in one place only."""
-    return [convergence_view(story), *([bounce_view(story)] if story.bounces else [])]
-
-
-def _recorded_layout(filmed: bool) -> rrb.Container:
-    positions = rrb.TimeSeriesView(origin="/recorded", name="recorded position [m]")
-    pictures = rrb.Spatial2DView(origin="/film", name="recorded pictures")
-    return rrb.Horizontal(
-        pictures if filmed else positions,
-        rrb.TextDocumentView(origin="/result", name="result"),
-        column_shares=[3, 2],
-    )
+    if filmed:
+        views = [rrb.Spatial2DView(origin="/film", name="recorded pictures")]
+    if not views:
+        return rrb.Horizontal(result)
+    return rrb.Horizontal(rrb.Vertical(*views), result, column_shares=[3, 2])
 
 
 def _blueprint(layout: rrb.Container) -> rrb.Blueprint:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 import rerun as rr
@@ -12,9 +13,10 @@ from numpy.typing import NDArray
 
 from analysis.observe.film import FilmedDrop
 from analysis.observe.tracking.pictures import readable_frames
+from analysis.review.colors import OBSERVED
 from analysis.review.model_path import log_model_path, projected_places
 from analysis.review.sending import at_seconds, screen_radius
-from analysis.review.story import OBSERVED, Story
+from analysis.review.story import Story
 from analysis.tuning import Tuning
 from tunenet_logs.episode import Frame
 from tunenet_logs.errors import LogError
@@ -145,8 +147,10 @@ def _send_pictures(stream: rr.RecordingStream, frames: list[Frame], start_ns: in
 def _frames_of(tuning: Tuning, film: FilmedDrop) -> Iterator[Frame]:
     assert tuning.episode is not None
     stamps = film.track.stamps_ns[film.used]
+    taken_ns = tuning.found.taken_ns
     shown: list[Frame] = []
-    for frame in readable_frames(tuning.episode, tuning.found.topic):
+    for recorded in readable_frames(tuning.episode, tuning.found.topic):
+        frame = replace(recorded, stamp_ns=taken_ns.get(recorded.stamp_ns, recorded.stamp_ns))
         if not stamps[0] <= frame.stamp_ns <= stamps[-1]:
             continue
         try:

@@ -8,8 +8,9 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from analysis.review.colors import OBSERVED
 from analysis.review.sending import send_scalars
-from analysis.review.story import OBSERVED, Curve, Story
+from analysis.review.story import Curve, Story
 
 _MANY = 400
 """Samples above which dots would hide the lines."""

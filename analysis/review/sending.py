@@ -41,7 +41,7 @@ def send_scalars(
     seconds: NDArray[np.float64],
     values: NDArray[np.float64],
 ) -> None:
-    """A series over the log's time."""
+    """A series over the log's time; several, where values have the shape (T, series)."""
     stream.send_columns(
         entity, indexes=[at_seconds(seconds)], columns=rr.Scalars.columns(scalars=values)
     )

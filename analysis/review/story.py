@@ -8,24 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.bounces import ReportedBounce, bounces_of
+from analysis.overlay import observed_heights_m, simulated_heights
+from analysis.review.colors import OBSERVED, Color, ramp
 from analysis.tuning import Tuning
 from recorders.simulators.bounce import Bounce
 
 Array = NDArray[np.float64]
-Color = tuple[int, int, int]
-
-OBSERVED: Color = (255, 255, 255)
-MUTED: Color = (140, 140, 140)
-# Cold to warm: readable on a dark ground, and apart for the colour-blind.
-_RAMP: tuple[Color, ...] = (
-    (112, 100, 190),
-    (66, 120, 220),
-    (40, 165, 200),
-    (60, 190, 130),
-    (160, 205, 60),
-    (255, 165, 40),
-)
-
 
 _SOFTEST = 0.1
 """Of the first rebound's speed: smaller hops look like rest."""
@@ -85,24 +73,20 @@ class Story:
 
 def story_of(tuning: Tuning) -> Story:
     """The story of a tuning that found a drop."""
-    found, drop = tuning.found, tuning.found.drop
+    drop = tuning.found.drop
     steps = tuning.trace.steps if tuning.trace else ()
-    heights = drop.heights_m - (drop.contact_m if tuning.physical else drop.table_m)
+    heights = observed_heights_m(tuning)
     observed = Curve("observed", "observed", OBSERVED, 2.5, float("nan"), drop.seconds, heights)
     simulated: list[Curve] = []
     for k, step in enumerate(steps):
-        assert step.look is not None
-        signal = next(iter(step.look.episode.signals.values()))
-        seconds = (signal.stamps_ns - found.start_ns) * 1e-9
-        heights = signal.values[:, 2] - step.look.episode.info.rig["ball_diameter_m"] / 2
-        inside = (seconds > drop.seconds[0] - 1e-6) & (seconds < drop.seconds[-1] + 1e-6)
+        seconds, heights = simulated_heights(tuning, step)
         value = float(step.values[0])
         width = 3.0 if k == len(steps) - 1 else 1.2
         is_refined = tuning.refined is not None and k == len(steps) - 1
         name = "refined" if is_refined else f"k={k}"
         label = f"{name}  e={value:.4f}"
         color = ramp(k, len(steps))
-        simulated.append(Curve(name, label, color, width, value, seconds[inside], heights[inside]))
+        simulated.append(Curve(name, label, color, width, value, seconds, heights))
     return Story(
         observed=observed,
         simulated=tuple(simulated),
@@ -135,12 +119,3 @@ def _impacts(tuning: Tuning) -> Array:
         found = list(drop.impact_s + drop.fall_time_s * starts[hard])
     impacts = np.array(found or [drop.impact_s], dtype=np.float64)
     return impacts[impacts <= last_s]
-
-
-def ramp(k: int, count: int) -> Color:
-    """The colour of iteration `k` of `count`."""
-    place = k / max(count - 1, 1) * (len(_RAMP) - 1)
-    low = min(int(place), len(_RAMP) - 2)
-    pairs = zip(_RAMP[low], _RAMP[low + 1], strict=True)
-    red, green, blue = (round(a + (place - low) * (b - a)) for a, b in pairs)
-    return red, green, blue

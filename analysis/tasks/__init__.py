@@ -5,9 +5,13 @@ from __future__ import annotations
 from analysis.tasks.base import Task
 from analysis.tasks.drop import DropTask
 from analysis.tasks.drop_video import DropVideoTask
+from analysis.tasks.payload import PayloadTask
 from tunenet_logs.episode import Episode
 
-TASKS: dict[str, Task] = {task.name: task for task in (DropTask(), DropVideoTask())}
+TASKS: dict[str, Task] = {task.name: task for task in (DropTask(), DropVideoTask(), PayloadTask())}
+
+
+KINDS: tuple[str, ...] = tuple(dict.fromkeys(task.kind for task in TASKS.values()))
 
 
 def task_for(kind: str, episode: Episode, topic: str | None) -> Task | None:
@@ -16,5 +20,15 @@ def task_for(kind: str, episode: Episode, topic: str | None) -> Task | None:
     None where there is no task of that kind.
     """
     tasks = [task for task in TASKS.values() if task.kind == kind]
-    fitting = (task for task in tasks if task.fits(episode, topic))
+    fitting = (task for task in tasks if task.claim(episode, topic))
     return next(fitting, tasks[0] if tasks else None)
+
+
+def kinds_of(episode: Episode, topic: str | None) -> tuple[str, ...]:
+    """What an episode that does not say so may be: the kinds whose claim is the strongest."""
+    claims = {
+        kind: max(task.claim(episode, topic) for task in TASKS.values() if task.kind == kind)
+        for kind in KINDS
+    }
+    best = max(claims.values())
+    return tuple(kind for kind, claim in claims.items() if claim and claim == best)

@@ -12,6 +12,7 @@ from analysis.estimators.base import Problem, Step
 from analysis.observe import drop as views
 from analysis.observe.base import Observation
 from analysis.observe.free_fall import Drop, find_drops
+from analysis.observe.late_stamps import on_time
 from analysis.observe.part import check_start
 from analysis.observe.quality import (
     Check,
@@ -23,10 +24,9 @@ from analysis.observe.quality import (
 )
 from analysis.observe.strays import strays
 from analysis.refine.bounce_fit import fit_bounce
-from analysis.tasks.base import CrossCheck, Preset, Refined, Selection
+from analysis.tasks.base import Claim, CrossCheck, Preset, Refined, Selection
 from analysis.tasks.drop_presets import PAPER_HEIGHT_M, PRESETS
-from analysis.tasks.found_drop import FoundDrop, drop_problem
-from recorders.simulators.balls import Ball
+from analysis.tasks.found_drop import DISAGREEMENT, FoundDrop, drop_problem
 from recorders.simulators.drop import RESTITUTION, TOPIC
 from tunenet_logs.episode import Episode, Signal
 from tunenet_logs.errors import NotFoundError
@@ -50,12 +50,17 @@ class DropTask:
 
     name = "drop"
     kind = "drop"
+    occasion = "drop"
     parameters = (RESTITUTION,)
 
-    def fits(self, episode: Episode, topic: str | None) -> bool:
-        """Whether there are positions in it; see `Task.fits`."""
+    def claim(self, episode: Episode, topic: str | None) -> Claim:
+        """By its positions: a tree of frames is in every robot's log; see `Task.claim`."""
         signals = episode.signals.values() if topic is None else episode.signals_of(topic)
-        return any(_is_position(one) for one in signals)
+        positions = [one.name for one in signals if _is_position(one)]
+        if not positions:
+            return Claim.NONE
+        frames = all(name.startswith("/tf") and "ball" not in name for name in positions)
+        return Claim.PERHAPS if frames else Claim.PLAINLY
 
     @property
     def presets(self) -> Mapping[str, Preset]:
@@ -69,8 +74,11 @@ class DropTask:
         for signal in _candidates(episode, selection):
             try:
                 check_start(selection.start_s, float(signal.seconds[-1]))
-                found = _find_in(_cut(signal, selection), int(signal.stamps_ns[0]), preset)
-                return replace(found, warnings=(*found.warnings, *unused))
+                arrivals = on_time(signal.stamps_ns)
+                even = replace(signal, stamps_ns=arrivals.stamps_ns)
+                found = _find_in(_cut(even, selection), int(signal.stamps_ns[0]), preset)
+                late = arrivals.words("samples")
+                return replace(found, warnings=(*found.warnings, *late, *unused))
             except NotFoundError as reason:
                 reasons.append(f"{signal.name}: {reason}")
         raise NotFoundError("; ".join((reasons[0], *unused)))
@@ -111,7 +119,7 @@ class DropTask:
             return None
         margin = _AGREEMENT + 3 * found.drop.flight_restitution_sd
         agrees = bool(abs(value - estimate[0]) < margin)
-        return CrossCheck("speeds at the first impact", value, agrees)
+        return CrossCheck("speeds at the first impact", value, agrees, DISAGREEMENT)
 
 
 def _candidates(episode: Episode, selection: Selection) -> list[Signal]:
@@ -133,17 +141,16 @@ def _candidates(episode: Episode, selection: Selection) -> list[Signal]:
 
 
 def _unused_hints(episode: Episode, selection: Selection) -> tuple[str, ...]:
-    """What to say of options that are for pictures: nobody should think that they had an effect."""
-    options = [*selection.hints.options]
-    if selection.ball != Ball():
-        options.append("the ball's size and mass")
-    if selection.fit_drag:
-        options.append("--fit-drag")
-    if not options:
-        return ()
-    topics = episode.picture_topics
-    there = f"to use its pictures: --topic {topics[0]}" if topics else "it holds no pictures"
-    return (f"{', '.join(options)} not used: the log holds the ball's position ({there})",)
+    """What to say of options for others: nobody should think that they had an effect."""
+    found: list[str] = []
+    if selection.arm_options:
+        found.append(f"{', '.join(selection.arm_options)} not used: this is a drop")
+    if selection.ball_options:
+        topics = episode.picture_topics
+        there = f"to use its pictures: --topic {topics[0]}" if topics else "it holds no pictures"
+        named = ", ".join(selection.ball_options)
+        found.append(f"{named} not used: the log holds the ball's position ({there})")
+    return tuple(found)
 
 
 def _is_position(signal: Signal) -> bool:

@@ -17,10 +17,10 @@ from analysis.observe.quality import Check, fit_check, recording_checks, sure_ch
 from analysis.observe.tracking.pictures import Pictures
 from analysis.observe.tracking.track import Hints, Track, track_ball
 from analysis.refine.film_value import film_rebounds, film_value
-from analysis.tasks.base import CrossCheck, Preset, Refined, Selection
+from analysis.tasks.base import Claim, CrossCheck, Preset, Refined, Selection
 from analysis.tasks.drop_presets import PAPER_HEIGHT_M
 from analysis.tasks.drop_video_presets import PRESETS
-from analysis.tasks.found_drop import FoundDrop, drop_problem
+from analysis.tasks.found_drop import DISAGREEMENT, FoundDrop, drop_problem
 from recorders.simulators.balls import completed, contradict, recorded_ball
 from recorders.simulators.drop import RESTITUTION
 from tunenet_logs.episode import Episode, EpisodeInfo
@@ -43,12 +43,14 @@ class DropVideoTask:
 
     name = "drop-video"
     kind = "drop"
+    occasion = "drop"
     parameters = (RESTITUTION,)
 
-    def fits(self, episode: Episode, topic: str | None) -> bool:
-        """Whether there are pictures in it; see `Task.fits`."""
+    def claim(self, episode: Episode, topic: str | None) -> Claim:
+        """By its pictures; see `Task.claim`."""
         topics = episode.picture_topics
-        return bool(topics) if topic is None else topic in topics
+        there = bool(topics) if topic is None else topic in topics
+        return Claim.PLAINLY if there else Claim.NONE
 
     @property
     def presets(self) -> Mapping[str, Preset]:
@@ -80,12 +82,17 @@ class DropVideoTask:
             )
         selection = replace(selection, ball=ball)
         found = self.find_in_track(track, pictures.start_ns, selection, preset)
+        unread = ""
         told = sum(one.messages for one in episode.channels if one.topic == topic)
         if selection.end_s is None and pictures.opened < told:
-            warnings.append(
+            unread = (
                 f"only {pictures.opened} of {told} pictures can be read: the others are damaged or "
                 "a video's whose beginning is missing"
             )
+            warnings.append(unread)
+        if selection.arm_options:
+            warnings.append(f"{', '.join(selection.arm_options)} not used: this is a drop")
+        warnings += pictures.arrivals.words("pictures")
         if pictures.other_size:
             warnings.append(f"{pictures.other_size} pictures of another size were left out")
         if pictures.damaged:
@@ -93,6 +100,8 @@ class DropVideoTask:
         return replace(
             found,
             topic=topic,
+            unread=unread,
+            taken_ns=pictures.arrivals.taken_ns,
             warnings=(*warnings, *found.warnings),
             known_m=(ball.diameter_m, episode.info.rig.get("drop_height_m")),
         )
@@ -110,7 +119,7 @@ class DropVideoTask:
             start_ns=start_ns,
             sideways_m=film.sideways[:, None] * film.drop.drop_height_m,
             target=canonical_film(film) if physical else _paper_target(film),
-            warnings=_warnings(film) if physical else _paper_warnings(film, selection),
+            warnings=(_warnings if physical else _paper_warnings)(film, selection),
             film=film,
             known_m=(selection.ball.diameter_m, None),
         )
@@ -143,6 +152,7 @@ class DropVideoTask:
             heights_m=found.drop.heights_m[fitted],
         )
         checks = recording_checks(drop, found.sideways_m[fitted], _MOST_GAP_FALLS)
+        checks.append(_read_check(found.unread))
         checks += film_checks(found.film)
         checks += scale_checks(found.film, *found.known_m)
         if not found.physical:  # z and y are not to be compared
@@ -163,7 +173,8 @@ class DropVideoTask:
         agrees = abs(ratio.value - ratio.fitted) < _AGREEMENT + 3 * ratio.sd
         # What they tell is the second impact's; the first one's is as much off, at any slope.
         value = float(estimate[0]) * ratio.value / ratio.fitted
-        return CrossCheck("durations of the first two flights", value, bool(agrees))
+        method = "durations of the first two flights"
+        return CrossCheck(method, value, bool(agrees), DISAGREEMENT)
 
 
 def _only(observation: views.Observation, chosen: NDArray[np.bool_]) -> views.Observation:
@@ -213,6 +224,15 @@ def _paper_target(film: FilmedDrop) -> views.Observation:
     return target
 
 
+def _read_check(unread: str) -> Check:
+    return Check(
+        "pictures as they were recorded",
+        not unread,
+        unread or "all of them can be read",
+        advice="tune the file as it was before it was damaged",
+    )
+
+
 def _paper_check(height_m: float) -> Check:
     low, high = PAPER_HEIGHT_M
     return Check(
@@ -223,8 +243,12 @@ def _paper_check(height_m: float) -> Check:
     )
 
 
-def _warnings(film: FilmedDrop) -> tuple[str, ...]:
+def _warnings(film: FilmedDrop, selection: Selection) -> tuple[str, ...]:
     found: list[str] = []
+    last = float(film.projection.fall_times(film.drop.seconds[-1:])[0])
+    starts, _ = film.projection.bounce.flights(last)
+    if selection.fit_drag and (len(starts) < 2 or starts[1] > last):
+        found.append("one flight tells little of the air's drag: film more bounces, or --ball NAME")
     if film.later_s:
         at = ", ".join(f"{one:.2f} s" for one in film.later_s[:_MOST_NAMED])
         found.append(f"more drops seem to follow, at {at}; the first is used (see --start, --end)")

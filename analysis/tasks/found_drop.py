@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
@@ -22,6 +23,9 @@ Array = NDArray[np.float64]
 
 _HIGHEST_M = 100.0
 
+DISAGREEMENT = "let go without spin, over a hard and level surface, and compare"
+"""What to do where a cross-check of a drop disagrees."""
+
 
 @dataclass(frozen=True, eq=False)
 class FoundDrop:
@@ -36,6 +40,8 @@ class FoundDrop:
         target: o_T.
         warnings: what a user should know, in words.
         film: the track and where heights are in the picture; None for a drop that was measured.
+        unread: what could not be read of its pictures, in words; "" if nothing.
+        taken_ns: when a picture was taken, by its stamp, of those that are stamped later.
         known_m: ball diameter and drop height as the log says; None where it does not.
     """
 
@@ -47,7 +53,20 @@ class FoundDrop:
     target: Observation
     warnings: tuple[str, ...]
     film: FilmedDrop | None = None
+    unread: str = ""
+    taken_ns: Mapping[int, int] = field(default_factory=dict)
     known_m: tuple[float | None, float | None] = (None, None)
+
+    @property
+    def window(self) -> Mapping[str, float]:
+        """Its first sample, first impact and last sample [s]."""
+        seconds = self.drop.seconds
+        return {"start_s": seconds[0], "impact_s": self.drop.impact_s, "end_s": seconds[-1]}
+
+    @property
+    def extent(self) -> tuple[str, str]:
+        """How high the ball fell from."""
+        return "drop", f"{self.drop.drop_height_m:.3f} m"
 
     @property
     def step_hz(self) -> float:

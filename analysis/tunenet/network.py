@@ -1,4 +1,4 @@
-"""The two networks h(o_P, o_T): the paper's, and the antisymmetric one.
+"""The networks h(o_P, o_T): the paper's, the antisymmetric one, and that without biases.
 
 Each forward pass is written once, with operations that NumPy arrays and torch tensors share: torch
 trains it, NumPy applies it, and tuning a log never waits for torch to load.
@@ -86,8 +86,30 @@ class AntisymmetricNetwork:
         return (linear(weights, "out", forth) - linear(weights, "out", back)) / 2
 
 
+class HomogeneousNetwork:
+    """The antisymmetric network without biases: h(a o_P, a o_T) = a h(o_P, o_T) for any a > 0.
+
+    For observations that are linear in what is looked for, as torques are in a mass. What it has
+    learnt of small values then holds for large ones.
+    """
+
+    kind = "homogeneous"
+    width = 64
+
+    def shapes(self, inputs: int, outputs: int) -> dict[str, tuple[int, ...]]:
+        """See `Network.shapes`."""
+        layers = AntisymmetricNetwork().shapes(inputs, outputs)
+        return {name: shape for name, shape in layers.items() if name.endswith(".weight")}
+
+    def residual(self, weights: Weights, proposed: Any, target: Any) -> Any:
+        """See `Network.residual`."""
+        unbiased = {**weights, **{f"{name}.bias": 0.0 for name in ("curve", "joint", "out")}}
+        return AntisymmetricNetwork().residual(unbiased, proposed, target)
+
+
 NETWORKS: dict[str, Network] = {
-    network.kind: network for network in (PaperNetwork(), AntisymmetricNetwork())
+    network.kind: network
+    for network in (PaperNetwork(), AntisymmetricNetwork(), HomogeneousNetwork())
 }
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis.tunenet.network import Model, Network, Scaling, initial_weights
 from analysis.tunenet.pairs import PairSet
@@ -13,6 +14,9 @@ from tunenet_logs.progress import Progress
 
 if TYPE_CHECKING:
     import torch
+
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -26,7 +30,8 @@ class Recipe:
         weight_decay: L2 constant.
         loss: "squared", "norm" (unsquared, the paper's eq. 4), or "relative": squared, over
             (|residual| + 0.1)^2, so that small residuals count as they do in the last steps.
-        scaling: "raw", "unit" (inputs and outputs to [0, 1]) or "standard".
+        scaling: "raw", "unit" (inputs and outputs to [0, 1]) or "standard"; "unit-inputs" and
+            "z-score" scale each channel of the inputs alone.
         noise: up to this standard deviation is added to o_T, in the observation's unit.
         cut_share: share of pairs that end early, as a short recording does.
     """
@@ -107,12 +112,25 @@ def _scaling(pairs: PairSet, how: str) -> Scaling:
     none, one = np.zeros(1), np.ones(1)
     if how == "raw":
         return Scaling(none, one, none, one)
+    if how in ("unit-inputs", "z-score"):
+        return Scaling(*_by_channel(pairs.observations, how == "unit-inputs"), none, one)
     if how == "unit":
         low, high = np.array([np.nanmin(flat)]), np.array([np.nanmax(flat)])
         least, most = pairs.residuals.min(axis=0), pairs.residuals.max(axis=0)
         return Scaling(low, 1 / (high - low), least, most - least)
     spread = np.nanstd(flat, axis=0).mean()
     return Scaling(np.nanmean(flat, axis=0), np.array([1 / spread]), none, one)
+
+
+def _by_channel(observations: Array, to_unit: bool) -> tuple[Array, Array]:
+    """Offset and gain of each input, one pair of numbers a channel."""
+    if to_unit:
+        offset = np.nanmin(observations, axis=(0, 1))
+        spread = np.nanmax(observations, axis=(0, 1)) - offset
+    else:
+        offset, spread = np.nanmean(observations, axis=(0, 1)), np.nanstd(observations, axis=(0, 1))
+    length = observations.shape[1]
+    return np.tile(offset, length), np.tile(1 / np.maximum(spread, 1e-12), length)
 
 
 def _optimizer(recipe: Recipe, weights: list[torch.Tensor], batches: int) -> tuple[Any, Any]:

@@ -64,7 +64,8 @@ def camera_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
             "--ball",
             type=_name,
             metavar="NAME",
-            help=f"which ball it is, for the log; with its size and mass for {', '.join(BALLS)}",
+            help="which ball it is, for the log or the outcome; with its size and mass for "
+            f"{', '.join(BALLS)}",
         ),
         add(
             "--ball-diameter",

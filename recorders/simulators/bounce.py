@@ -39,24 +39,22 @@ class Bounce:
     def heights(self, places: Array) -> Array:
         """Heights u [drop heights] at `places` s, shape (T,); 1 before the fall, 0 after all."""
         starts, speeds = self.flights(float(places.max(initial=0.0)))
-        flight = np.clip(np.searchsorted(starts, places, side="right") - 1, 0, None)
-        after = np.clip(places - starts[flight], 0.0, None)
+        flight = np.maximum(np.searchsorted(starts, places, side="right") - 1, 0)
+        after = np.maximum(places - starts[flight], 0.0)
         return np.where(places < 0.0, self._fall(places), self._flight(after, speeds[flight]))
 
     def flights(self, last: float) -> tuple[Array, Array]:
         """When each flight up to `last` starts, and with what speed; the first starts at 0."""
-        first = self.fall_speed(1.0)
-        starts, speeds = [0.0], [self._kept(0, 1.0) * first]
-        while starts[-1] <= last and len(starts) < _MOST_FLIGHTS and speeds[-1] > _SLOWEST:
-            if self.drag < _NO_DRAG:
-                lasted = impact = speeds[-1]
-            else:
-                apex, lasted = self.apex(speeds[-1])
-                impact = self.fall_speed(apex)
-            kept = self._kept(len(starts), impact / first)
-            starts.append(starts[-1] + lasted)
-            speeds.append(kept * impact)
-        if speeds[-1] <= _SLOWEST:
+        first = self.impact_speed
+        start, speed = 0.0, self._kept(0, 1.0) * first
+        starts, speeds = [start], [speed]
+        while start <= last and len(starts) < _MOST_FLIGHTS and speed > _SLOWEST:
+            lasted, impact = self.flight(speed)
+            start += lasted
+            speed = self._kept(len(starts), impact / first) * impact
+            starts.append(start)
+            speeds.append(speed)
+        if speed <= _SLOWEST:
             speeds[-1] = 0.0
         return np.array(starts), np.array(speeds)
 
@@ -66,41 +64,44 @@ class Bounce:
             return self.each[number]
         return min(self.restitution * share**-self.slope, 1.0)
 
-    def fall_speed(self, height: float) -> float:
-        """At the end of a fall from rest [drop heights, sqrt(2 H / g)]."""
+    @property
+    def impact_speed(self) -> float:
+        """At the end of the fall [drop heights, sqrt(2 H / g)]."""
         if self.drag < _NO_DRAG:
-            return 2.0 * math.sqrt(height)
-        return math.sqrt(-2.0 * math.expm1(-2.0 * self.drag * height) / self.drag)
+            return 2.0
+        return math.sqrt(-2.0 * math.expm1(-2.0 * self.drag) / self.drag)
 
-    def apex(self, speed: float) -> tuple[float, float]:
-        """Height of a flight, and how long it lasts."""
+    @property
+    def fall_time(self) -> float:
+        """Of the fall; with drag: arccosh(e^drag) / sqrt(2 drag), exact for a small one too."""
         if self.drag < _NO_DRAG:
-            return speed**2 / 4.0, speed
-        height = math.log1p(speed**2 * self.drag / 2.0) / (2.0 * self.drag)
-        rise = math.atan(speed * math.sqrt(self.drag / 2.0)) / math.sqrt(2.0 * self.drag)
-        return height, rise + self._fall_time(height)
+            return 1.0
+        return math.asinh(math.sqrt(math.expm1(2.0 * self.drag))) / math.sqrt(2.0 * self.drag)
 
-    def _fall_time(self, height: float) -> float:
-        """Of a fall from rest, with drag: arccosh(e^x) / sqrt(2 drag), x = drag height."""
-        x = self.drag * height
-        return math.log(math.exp(x) + math.sqrt(math.expm1(2.0 * x))) / math.sqrt(2.0 * self.drag)
+    def flight(self, speed: float) -> tuple[float, float]:
+        """How long a flight lasts that begins with this speed, and the speed at its end."""
+        if self.drag < _NO_DRAG:
+            return speed, speed
+        reach = speed * math.sqrt(self.drag / 2.0)
+        lasted = (math.atan(reach) + math.asinh(reach)) / math.sqrt(2.0 * self.drag)
+        return lasted, speed / math.hypot(1.0, reach)
 
     def _angle(self, speed: Array) -> Array:
         return np.arctan(speed * np.sqrt(self.drag / 2.0))
 
     def _fall(self, places: Array) -> Array:
         if self.drag < _NO_DRAG:
-            return 1.0 - np.clip(places + 1.0, 0.0, None) ** 2
+            return 1.0 - np.maximum(places + 1.0, 0.0) ** 2
         rate = np.sqrt(2.0 * self.drag)
-        lasts = self._fall_time(1.0)
+        lasts = self.fall_time
         since = np.clip(places + lasts, 0.0, lasts)
         return 1.0 - np.log(np.cosh(rate * since)) / self.drag
 
     def _flight(self, after: Array, speed: Array) -> Array:
         if self.drag < _NO_DRAG:
-            return np.clip(after * (speed - after), 0.0, None)
+            return np.maximum(after * (speed - after), 0.0)
         rate, angle = np.sqrt(2.0 * self.drag), self._angle(speed)
         left = angle - rate * after
-        up = np.log(np.cos(np.clip(left, 0.0, None)) / np.cos(angle)) / self.drag
+        up = np.log(np.cos(np.maximum(left, 0.0)) / np.cos(angle)) / self.drag
         down = np.log(np.cosh(np.clip(-left, 0.0, 20.0))) / self.drag
-        return np.clip(up - down, 0.0, None)
+        return np.maximum(up - down, 0.0)

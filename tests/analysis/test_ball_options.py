@@ -52,6 +52,13 @@ def test_a_mass_in_grams_is_noticed(capsys: pytest.CaptureFixture):
     assert not capsys.readouterr().err
 
 
+def test_a_size_that_is_not_the_named_balls_is_noticed(capsys: pytest.CaptureFixture):
+    told("--ball", "golf", "--ball-diameter", "0.1")
+    assert "the ball golf has 42.7 mm, 45.9 g; what was measured is used" in capsys.readouterr().err
+    told("--ball", "golf", "--ball-diameter", "0.043")
+    assert not capsys.readouterr().err
+
+
 def test_an_unknown_ball_is_one_line_and_exit_code_2(command: Command, drop_log: Path):
     result = command("tunenet-tune", drop_log, "--ball", "cricket")
     assert result.returncode == 2

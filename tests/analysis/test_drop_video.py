@@ -95,6 +95,7 @@ def test_a_ball_that_does_not_bounce_is_rejected(command: Command, tmp_path: Pat
     assert "bounce" in report["reason"] or "fly" in report["reason"]
 
 
+@pytest.mark.live
 def test_a_network_camera_plays_a_drop(command: Command, tmp_path: Path):
     """The figure to hold: restitution within .02 of the truth, over real sockets at 60 fps."""
     count = sum(1 for _ in read_episode(SAMPLE).frames())
@@ -275,8 +276,8 @@ def test_a_video_with_a_hole_is_read_as_far_as_it_is_whole(command: Command, tmp
     result = command("tunenet-tune", tmp_path / "hole.mp4", "-o", tmp_path)
     assert "Traceback" not in result.stderr
     report = json.loads((tmp_path / "hole.json").read_text())
-    if report["verdict"] == "ok":  # the decoder makes up what is missing
-        assert 0.48 < report["parameters"]["restitution"]["value"] < 0.54
+    assert report["verdict"] in ("suspect", "rejected")
+    assert "pictures can be read" in report["reason"]
 
 
 def test_a_box_outside_the_picture_is_wrong_usage(

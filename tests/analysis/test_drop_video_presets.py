@@ -93,3 +93,12 @@ def test_training_pairs_are_of_a_simulation_and_a_film():
     far = np.abs(pairs.residuals[:, 0]) > 0.2
     off = np.nanmean(np.abs(simulated - pairs.observations[pairs.target]), axis=(1, 2))
     assert off[far].mean() > 2 * off[near].mean()
+
+
+def test_drag_asked_of_one_flight_is_said_to_be_little_known():
+    for samples, warned in ((72, True), (180, False)):
+        simulator = DropSimulator(replace(RIG, samples=samples), CALIBRATED)
+        film = film_of(FilmPlan(simulator.rig, 0.8, 1000, 0.1), simulator)
+        assert film is not None
+        found = TASK.find_in_track(film.track, 0, Selection(fit_drag=True), "default")
+        assert any("one flight tells little" in one for one in found.warnings) == warned

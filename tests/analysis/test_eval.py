@@ -16,7 +16,8 @@ import cv2
 import numpy as np
 import pytest
 
-from analysis.cli.eval import METHODS, build_parser, main
+from analysis.cli.eval import build_parser, main
+from analysis.cli.experiments import METHODS
 from analysis.estimators.base import Problem, Step, Trace
 from analysis.experiments.curves import error_curves
 from analysis.experiments.drop import DropOrder, run_drop

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.cli.eval import SECTIONS, main
+from analysis.cli.eval import main
+from analysis.cli.experiments import SECTIONS
 from analysis.experiments.bad_tracks import BAD_CLASSES
 from analysis.experiments.video import VideoOrder, VideoRow, figures_of, track_sections
 from analysis.experiments.video_cells import (
@@ -155,7 +156,7 @@ def test_the_command_prints_and_writes_the_tables_it_is_asked_for(
     [
         (("video", "--sections", "set-D"), "no section 'set-D'; there is: set-A, set-B"),
         (("video", "--sections", ","), "--sections names none; there is: set-A"),
-        (("drop", "--sections", "bad"), "--sections is for video, not drop"),
+        (("drop", "--sections", "bad"), "is for video, payload and bounce-shot, not drop"),
         (("video", "--methods", "mean"), "--methods is for drop, not video"),
         (("video", "--rrd", "a.rrd"), "--rrd is for drop, not video"),
     ],

@@ -10,6 +10,7 @@ import pytest
 from analysis.observe.film import canonical_film, find_filmed_drop
 from analysis.observe.film_quality import film_checks, scale_checks
 from analysis.observe.tracking.track import Track
+from recorders.simulators.bounce import Bounce
 from tests.strangers import bounce_heights
 from tunenet_logs.errors import NotFoundError
 
@@ -100,6 +101,29 @@ def test_gaps_and_single_outliers():
     places[[80, 150]] += [0, 12]
     found = find_filmed_drop(replace(track, places_px=places), 0)
     assert found.projection.bounce.restitution == pytest.approx(0.65, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("each", "flights", "passes"),
+    [
+        ((0.7, 0.7, 0.7, 0.7), None, True),
+        ((0.7, 0.7, 0.45, 0.8), 2, True),  # on a seam
+        ((0.7, 0.45, 0.85, 0.5), 1, False),
+    ],
+)
+def test_a_ball_is_one_as_far_as_one_law_goes(
+    each: tuple[float, ...], flights: int | None, passes: bool
+):
+    """Restitution within .01, whatever the later bounces are."""
+    fall_s = np.sqrt(2 / GRAVITY)
+    times = (np.arange(150) / 60.0 - 0.3) / fall_s - 1
+    heights = Bounce(0.7, each=each).heights(times)
+    found = find_filmed_drop(track_of(pixels(heights, 120.0, 0.2), 60.0), 0)
+    assert found.projection.bounce.restitution == pytest.approx(0.7, abs=0.01)
+    assert found.flights == flights
+    (check,) = (one for one in film_checks(found) if one.name == "bounces alike")
+    assert check.passed == passes
+    assert not check.fatal
 
 
 def test_where_heights_are_in_the_picture_and_back():

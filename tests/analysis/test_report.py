@@ -51,6 +51,11 @@ def test_a_rejected_log_has_a_reason_and_no_number(tmp_path: Path):
     assert "does not bounce" in report["reason"]
 
 
+def test_a_file_that_is_no_log_was_tuned_by_no_method(tmp_path: Path):
+    (tmp_path / "b.mcap").write_text("no log")
+    assert json.loads(to_json(tune_log(tmp_path / "b.mcap", Options())))["method"] is None
+
+
 def test_a_failed_check_says_what_to_do_at_the_next_drop(drop_log: Path):
     tuning = tune_log(drop_log, Options())
     short = replace(tuning.checks[1], passed=False)

@@ -19,6 +19,8 @@ from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.errors import CameraError, LogError
 from tunenet_logs.reader import read_episode
 
+pytestmark = pytest.mark.live
+
 
 def test_user_and_password_are_sent_and_never_shown(command: Command, tmp_path: Path):
     with playing(frames=20, user="me:se cret") as address:

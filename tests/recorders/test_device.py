@@ -22,6 +22,8 @@ from tunenet_logs.images import image_size
 from tunenet_logs.progress import Progress
 from tunenet_logs.reader import read_episode
 
+pytestmark = pytest.mark.live
+
 FRAMES = 20
 RATE_HZ = 100
 

@@ -30,6 +30,8 @@ from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.errors import LogError
 from tunenet_logs.reader import read_episode
 
+pytestmark = pytest.mark.live
+
 INFO = EpisodeInfo(kind="test")
 
 
@@ -168,3 +170,17 @@ def test_a_queue_that_must_not_drop_makes_the_source_wait():
     thread.join()
     assert seen == list(range(50))
     assert queue.dropped == 0
+
+
+def test_a_recording_that_is_discarded_leaves_nothing(tmp_path: Path):
+    recording = LiveRecording(tmp_path / "a.mcap", INFO)
+    recording.put_joints(JOINTS, 7, NAMES, *joints_of(0))
+    recording.discard()
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_a_recorder_counts_is_in_the_log(tmp_path: Path):
+    with LiveRecording(tmp_path / "a.mcap", INFO) as recording:
+        recording.put_joints(JOINTS, 7, NAMES, *joints_of(0))
+        recording.count(f"gaps.{JOINTS}", 3)
+    assert read_episode(tmp_path / "a.mcap").info.counts[f"gaps.{JOINTS}"] == 3

@@ -38,6 +38,8 @@ from tunenet_logs.jpeg import is_whole
 from tunenet_logs.progress import Bar, Progress
 from tunenet_logs.reader import read_episode
 
+pytestmark = pytest.mark.live
+
 QUIET = Progress(quiet=True)
 
 

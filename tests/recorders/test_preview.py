@@ -20,6 +20,8 @@ from tests.recorders.mjpeg_camera import number_in, picture, playing
 from tunenet_logs.episode import Frame
 from tunenet_logs.reader import read_episode
 
+pytestmark = pytest.mark.live
+
 
 class PreviewPage(Page):
     """The page of a recorder that runs in a process of its own."""

@@ -18,6 +18,8 @@ from tunenet_logs.episode import EpisodeInfo
 from tunenet_logs.progress import Progress
 from tunenet_logs.reader import read_episode
 
+pytestmark = pytest.mark.live
+
 RATE_HZ = 50
 PICTURES = [numbered(number) for number in range(100)]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tunenet_logs.collect import JointRows, PositionRows
+from tunenet_logs.collect import JointRows, PositionRows, named
 from tunenet_logs.formats.base import BeyondLimitError
 from tunenet_logs.formats.kinds import JointSample
 
@@ -61,3 +61,17 @@ def test_more_names_than_any_robot_has_are_refused_and_are_no_damage():
     rows = PositionRows("/tf")
     with pytest.raises(BeyondLimitError):
         rows.add(0, [(1, f"frame{index}", "world", 0, 0, 0) for index in range(2000)])
+
+
+def test_told_names_are_for_joints_without_names_and_as_many():
+    rows = JointRows("/joint_states")
+    rows.add(5, JointSample(5, (), effort=[1.0, 2.0]))
+    (nameless,), _ = rows.signals()
+    assert named(nameless, ["a", "b"]).columns == ("a", "b")
+    assert named(nameless, ["a", "b", "c"]).columns == nameless.columns
+    assert named(nameless, ["a", "a"]).columns == nameless.columns
+    assert named(nameless, []).columns == nameless.columns
+    rows = JointRows("/joint_states")
+    rows.add(5, JointSample(5, ("x", "y"), effort=[1.0, 2.0]))
+    (with_names,), _ = rows.signals()
+    assert named(with_names, ["a", "b"]).columns == ("x", "y")

@@ -24,7 +24,6 @@ from tunenet_logs import messages
 from tunenet_logs.formats.base import DAMAGED, RawChannel
 from tunenet_logs.formats.codec import Decode, MessageError, UnusableError
 
-_JOINTS = "\n".join(f"float32 joint{number}" for number in range(1, 8))
 _FRAME = "builtin_interfaces/Time timestamp\nstring frame_id\n"
 _TRANSFORM = (
     "builtin_interfaces/Time timestamp\nstring parent_frame_id\nstring child_frame_id\n"
@@ -37,7 +36,10 @@ _PARSERS = {
     "ros2idl": get_types_from_idl,
 }
 _FOREIGN = {
-    "kinova_msgs": dict.fromkeys(("JointAngles", "JointTorque", "JointVelocity"), _JOINTS),
+    "kinova_msgs": dict.fromkeys(
+        ("JointAngles", "JointTorque", "JointVelocity"), messages.SEVEN_JOINTS
+    ),
+    "tunenet_msgs": {"TaskOutcome": messages.OUTCOME_FIELDS},
     "foxglove_msgs": {
         "PoseInFrame": f"{_FRAME}geometry_msgs/Pose pose",
         "Point3InFrame": f"{_FRAME}geometry_msgs/Point point",

@@ -60,6 +60,8 @@ class Video:
     def frames(self) -> Iterator[Frame]:
         """The frames in order, one at a time; a camera's own JPEG untouched, all else as pixels.
 
+        A damaged frame is left out, and those after it that are made from it.
+
         Raises:
             LogError: the file is damaged; the frames before that have been delivered.
         """
@@ -68,6 +70,7 @@ class Video:
             return
         with _opened(self.path) as container:
             stamps = iter(self.stamps_ns.tolist())
+            made_up = False
             for picture in container.decode(_video_stream(container, self.path)):
                 if picture.width * picture.height > MAX_PIXELS:
                     raise LogError(f"{self.path}: a picture claims {picture.width} px of width")
@@ -75,6 +78,9 @@ class Video:
                 stamp_ns = next(stamps, None)
                 if stamp_ns is None:
                     return
+                made_up = picture.is_corrupt or (made_up and not picture.key_frame)
+                if made_up:  # the decoder fills a hole from the pictures before it
+                    continue
                 height, width = upright.shape[:2]
                 yield Frame(stamp_ns, "rgb8", upright.tobytes(), (width, height))
 

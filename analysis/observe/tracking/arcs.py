@@ -22,7 +22,7 @@ Index = NDArray[np.intp]
 _MOST_SEEDS = 500
 _FINALISTS = 60
 _LEAST_GROWN = 5
-_LEAST_FRAMES = 6
+LEAST_FRAMES = 6
 _ENOUGH_FRAMES = 16
 _FALLEN = 5.0
 _LOOSE_PX, _LOOSE = 0.3, 0.15
@@ -49,19 +49,28 @@ class Arc:
     gravity_px: Array
 
 
-def longest_arc(table: Candidates) -> Arc | None:
+def longest_arc(table: Candidates, least_frames: int = LEAST_FRAMES) -> Arc | None:
     """The free flight that goes farthest; down the picture unless another is far better.
 
     A video without its rotation flag falls sideways. And a bounce, seen upside down, looks a little
     like a flight.
+
+    Args:
+        table: what moves in each picture.
+        least_frames: in how many pictures it must be seen.
     """
     seeds, bends = accelerated_triples(table)
-    found = [(_longest_towards(table, seeds, bends, np.array(way)), more) for way, more in _WAYS]
+    found = [
+        (_longest_towards(table, seeds, bends, np.array(way), least_frames), more)
+        for way, more in _WAYS
+    ]
     scored = [(more * _score(table, arc), arc) for arc, more in found if arc is not None]
     return max(scored, key=lambda one: one[0])[1] if scored else None
 
 
-def _longest_towards(table: Candidates, seeds: Index, bends: Array, down: Array) -> Arc | None:
+def _longest_towards(
+    table: Candidates, seeds: Index, bends: Array, down: Array, least_frames: int
+) -> Arc | None:
     towards = bends @ down
     sideways = np.abs(bends @ np.array([down[1], -down[0]]))
     seeds = seeds[(towards > LEAST_BEND_PX) & (towards > sideways)]
@@ -73,7 +82,7 @@ def _longest_towards(table: Candidates, seeds: Index, bends: Array, down: Array)
     best, best_score = None, 0.0
     for _, index in sorted(tried.values(), reverse=True)[:_FINALISTS]:
         arc = _grow(table, seeds[index], 4)
-        if arc and _is_flight(table, arc, down) and _score(table, arc) > best_score:
+        if arc and _is_flight(table, arc, down, least_frames) and _score(table, arc) > best_score:
             best, best_score = arc, _score(table, arc)
     return best
 
@@ -144,8 +153,8 @@ def _run(hit: NDArray[np.bool_], at: int) -> tuple[int, int]:
     return begin, end
 
 
-def _is_flight(table: Candidates, arc: Arc, down: Array) -> bool:
-    if len(arc.frames) < _LEAST_FRAMES:
+def _is_flight(table: Candidates, arc: Arc, down: Array, least_frames: int) -> bool:
+    if len(arc.frames) < least_frames:
         return False
     clock = table.seconds[arc.frames]
     area = float(np.median(table.areas_px[arc.frames, arc.chosen]))

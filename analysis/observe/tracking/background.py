@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,18 +28,24 @@ class Background:
         smooth: the same, each pixel the mean of three by three.
         threshold: uint8, shape (H, W): noise, flicker and the shaking of a hand-held camera, of
             smooth pictures.
+        later: how the second half of the recording looks, smooth, where `smooth` is of the first
+            half; None where one picture is good for all.
     """
 
     picture: Picture
     smooth: Picture
     threshold: Picture
+    later: Picture | None = None
 
     def difference(self, picture: Picture) -> Picture:
         """Largest difference of the smooth colours, but for the light's changes, shape (H, W)."""
         import cv2
 
-        same = cv2.convertScaleAbs(_smooth(picture), alpha=self.gain(picture))
-        return _strongest(_apart(np.asarray(same, np.uint8), self.smooth))
+        same = np.asarray(cv2.convertScaleAbs(_smooth(picture), alpha=self.gain(picture)), np.uint8)
+        off = _strongest(_apart(same, self.smooth))
+        if self.later is None:
+            return off
+        return np.asarray(cv2.min(off, _strongest(_apart(same, self.later))), np.uint8)
 
     def gain(self, picture: Picture) -> float:
         """How much brighter the still picture is, by most of its pixels."""
@@ -57,6 +63,23 @@ def still_background(samples: Sequence[Picture]) -> Background:
     """
     picture, spread = _median_and_spread(samples)
     return Background(picture, _smooth(picture), _threshold(spread))
+
+
+def halved_background(samples: Sequence[Picture]) -> Background:
+    """The same, with the medians of its two halves in place of one for all.
+
+    A hand that holds the ball is still for most of the first half, a ball that lies for most of the
+    second. What stands out of both halves moves; out of one alone, it may be the place that a hand
+    has left, or one where the ball will lie. But a ball that lingers in one place, too, is lost
+    there: so this is for where one picture shows nothing that flies.
+
+    Args:
+        samples: uint8, shape (H, W, 3) each.
+    """
+    whole = still_background(samples)
+    middle = len(samples) // 2
+    first, second = (_smooth(middle_of(half)) for half in (samples[:middle], samples[middle:]))
+    return replace(whole, smooth=first, later=second)
 
 
 def _median_and_spread(samples: Sequence[Picture]) -> tuple[Picture, Array]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,12 @@ class Candidates:
     colours: Array
     whole: NDArray[np.bool_]
     misfits: Array
+
+    def inside(self) -> Candidates:
+        """Without those that the picture's edge cuts: arms and people, not balls."""
+        places = np.where(self.whole[:, :, None], self.places_px, np.nan)
+        areas = np.where(self.whole, self.areas_px, np.nan)
+        return replace(self, places_px=places, areas_px=areas)
 
     def some(self, frames: NDArray[np.intp]) -> Candidates:
         """Those of some pictures."""

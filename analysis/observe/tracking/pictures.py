@@ -9,6 +9,7 @@ from contextlib import suppress
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.observe.late_stamps import on_time
 from analysis.observe.part import check_start
 from tunenet_logs.episode import Episode, Frame
 from tunenet_logs.errors import LogError, NotFoundError, UsageError
@@ -27,7 +28,8 @@ class Pictures:
     """The decoded pictures of an episode, reduced to a size at which tracking is quick.
 
     Attributes:
-        stamps_ns: of the pictures, shape (T,), strictly increasing.
+        stamps_ns: when the pictures were taken, shape (T,), strictly increasing.
+        arrivals: the same, beside the stamps of the recording, which may have come late.
         start_ns: stamp of the topic's first picture, selected or not.
         length_s: from there to the topic's last picture, selected or not.
         size_px: (width, height) before reduction.
@@ -91,7 +93,8 @@ class Pictures:
         if not stamps:
             why = f": {reason}" if reason else ""
             raise NotFoundError(f"holds no picture that can be decoded (in the part selected){why}")
-        self.stamps_ns = np.array(stamps, np.int64)
+        self.arrivals = on_time(np.array(stamps, np.int64))
+        self.stamps_ns = self.arrivals.stamps_ns
 
     def __iter__(self) -> Iterator[Picture]:
         for index, frame in self._selected():

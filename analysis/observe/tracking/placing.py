@@ -166,19 +166,22 @@ class Appearance:
             tried.append((float((off / (off + _LARGE**2)).sum()), values))
         return min(tried, key=lambda one: one[0])[1]
 
-    def _residual(self, patch: Patch, values: Array) -> tuple[Fine, Fine, Fine, Fine]:
-        """Squared residuals (N, N), residuals (N, N, 3), the ball's layers, where in the ball."""
+    def _residual(self, patch: Patch, values: Array) -> tuple[Fine, Fine, Fine, tuple[Fine, Fine]]:
+        """Squared residuals (N, N), residuals (N, N, 3), the ball's layers, where in the ball.
+
+        The last are x of shape (1, N) and y of shape (N, 1).
+        """
         side = patch.seen.shape[0]
         layers = moved(self.layers, values, side)
         size = np.float32(self.radius_px * self.zoom * np.exp(values[2]))
         axis = np.arange(side, dtype=np.float32)
-        within = np.stack(np.meshgrid((axis - values[0]) / size, (axis - values[1]) / size))
-        light = 1 + values[3] + values[4] * within[0] + values[5] * within[1]
+        x, y = (axis[None] - values[0]) / size, (axis[:, None] - values[1]) / size
+        light = 1 + values[3] + values[4] * x + values[5] * y
         layers[:, :, :3] *= light.astype(np.float32)[:, :, None]
         model = patch.behind * (1 - layers[:, :, 3:]) + layers[:, :, :3]
         off = (patch.seen - model) * patch.inside[:, :, None]
-        squared = (off**2).mean(axis=2).astype(np.float32)
-        return squared, off.astype(np.float32), layers, within.astype(np.float32)
+        squared = np.einsum("ijk,ijk->ij", off, off) / np.float32(3)
+        return squared, off.astype(np.float32), layers, (x.astype(np.float32), y.astype(np.float32))
 
     def fit(
         self, patch: Patch, start: Array, growth: float, at_first: float = _WIDE
@@ -220,13 +223,15 @@ class Appearance:
         stands_out = (layers[:, :, :3] - patch.behind * layers[:, :, 3:])[inside]
         return float(np.sqrt((stands_out**2).mean() + 1.0)) if len(stands_out) else 1.0
 
-    def _jacobian(self, patch: Patch, layers: Fine, within: Fine, radius: float) -> Fine:
+    def _jacobian(
+        self, patch: Patch, layers: Fine, within: tuple[Fine, Fine], radius: float
+    ) -> Fine:
         """What each value changes, shape (6, 3 N^2)."""
         right, down = (
             patch.behind * one[:, :, 3:] - one[:, :, :3]
             for one in (_slope(layers, 1), _slope(layers, 0))
         )
-        x, y = within[0][:, :, None], within[1][:, :, None]
+        x, y = (one[:, :, None] for one in within)
         colours = layers[:, :, :3]
         grown = np.float32(radius) * (x * right + y * down)
         rows = (right, down, grown, colours, colours * x, colours * y)

@@ -8,8 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.observe.tracking.arcs import Arc, longest_arc
-from analysis.observe.tracking.background import still_background
+from analysis.observe.tracking.arcs import LEAST_FRAMES, Arc, longest_arc
+from analysis.observe.tracking.background import (
+    Background,
+    halved_background,
+    still_background,
+)
 from analysis.observe.tracking.blobs import Blobs, hsv_blobs, moving_blobs
 from analysis.observe.tracking.candidates import Candidates, tabulate
 from analysis.observe.tracking.following import LEAST_SEEN, follow, look_of, same_arc
@@ -20,8 +24,14 @@ from tunenet_logs.errors import NotFoundError
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
+_FEW_FRAMES = 5
+"""Of a flight that is looked for once more, where pictures are few."""
+
 _NEAR_PX = 50
 """From a mark to the edge of what it marks, in the reduced picture: it need not be exact."""
+
+_EXPOSURE_S = 0.008
+"""Longer ones blur a ball so much that people add light."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +68,8 @@ class Track:
         size_px: (width, height) of the pictures.
         gravity_px: acceleration in flight [px/s²], shape (2,).
         colour: RGB of the ball.
+        exposure_s: for which a shutter may have been open around each stamp, at most; 0 for places
+            that no camera saw.
     """
 
     stamps_ns: NDArray[np.int64]
@@ -67,6 +79,7 @@ class Track:
     size_px: tuple[int, int]
     gravity_px: Array
     colour: tuple[int, int, int]
+    exposure_s: float = 0.0
 
     @property
     def found(self) -> NDArray[np.bool_]:
@@ -87,7 +100,6 @@ def track_ball(pictures: Pictures, hints: Hints | None = None) -> Track:
         raise NotFoundError(f"{len(stamps_ns)} pictures are too few for a drop")
     seconds = (stamps_ns - stamps_ns[0]).astype(np.float64) * 1e-9
     allowed = pictures.allowed(hints.roi)
-    background = still_background(pictures.samples)
 
     def candidates(find: Callable[[Picture], Blobs]) -> Candidates:
         return tabulate(seconds, [find(picture) for picture in pictures])
@@ -98,10 +110,18 @@ def track_ball(pictures: Pictures, hints: Hints | None = None) -> Track:
         arc = _arc_of(table)
         chosen, cost = follow(table, arc, look_of(table, arc))
         return _track(pictures, table, chosen, cost, arc)
-    table = candidates(lambda one: moving_blobs(one, background, allowed))
-    if hints.ball_at is not None:
-        table = _only_like(table, pictures, hints.ball_at)
-    arc = _arc_of(table)
+
+    def moving(background: Background) -> Candidates:
+        table = candidates(lambda one: moving_blobs(one, background, allowed))
+        if hints.ball_at is not None:
+            return _only_like(table, pictures, hints.ball_at)
+        return table
+
+    table = moving(still_background(pictures.samples))
+    arc = longest_arc(table) if table.areas_px.size else None
+    if arc is None:
+        table = moving(halved_background(pictures.samples))
+        arc = _arc_of(table.inside(), _FEW_FRAMES)
     second = look_again(pictures, table, arc, allowed)
     fresh = second.fresh()
     table = second.table.some(fresh)
@@ -112,8 +132,8 @@ def track_ball(pictures: Pictures, hints: Hints | None = None) -> Track:
     return _track(pictures, table, chosen, cost, arc, fresh)
 
 
-def _arc_of(table: Candidates) -> Arc:
-    arc = longest_arc(table) if table.areas_px.size else None
+def _arc_of(table: Candidates, least_frames: int = LEAST_FRAMES) -> Arc:
+    arc = longest_arc(table, least_frames) if table.areas_px.size else None
     if arc is None:
         raise NotFoundError(
             "no ball is seen to fly: nothing in the pictures moves along a parabola "
@@ -171,4 +191,5 @@ def _track(
         size_px=pictures.size_px,
         gravity_px=arc.gravity_px * scale,
         colour=(int(red), int(green), int(blue)),
+        exposure_s=_EXPOSURE_S,
     )

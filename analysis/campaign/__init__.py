@@ -1,0 +1,1 @@
+"""A campaign: drops, what was tuned from them, and what the hardware then did."""

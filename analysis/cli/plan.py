@@ -1,0 +1,169 @@
+"""tunenet-plan: from a tuned ball to the bounce shot that a robot is to take."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from itertools import combinations
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tunenet_logs.commandline import Parser, number, run, whole
+from tunenet_logs.errors import UsageError
+from tunenet_logs.wording import one_line
+
+if TYPE_CHECKING:
+    from analysis.planning.known_ball import KnownBall
+
+_DESCRIPTION = """\
+Choose the height from which to let a ball go above an inclined plane, so that it
+bounces through a hoop (the paper's third experiment). 100 heights, evenly over what
+the robot reaches, are tried in a simulator with air, friction, spin and a real rim;
+of those that pass, the best is the one that forgives most: in restitution and in
+height, each by how well it is known. The restitution is that at the shot's own speed,
+where the tuning tells how it falls with speed.
+
+Exit code 1 if no height scores, or the tuning was rejected."""
+
+_EXAMPLES = """\
+  tunenet-plan drop.json
+  tunenet-plan drop.json --rig myrig.yaml --json plan.json --rrd plan.rrd
+  tunenet-plan --restitution 0.74
+  tunenet-plan --restitution 0.74 --slope 0.08     (at 3 m/s; less at higher speeds)
+  tunenet-plan --save-rig myrig.yaml               (the default rig, to edit)"""
+
+
+def build_parser() -> Parser:
+    """The command's arguments."""
+    parser = Parser("tunenet-plan", _DESCRIPTION, _EXAMPLES)
+    add = parser.add_argument
+    add("tuning", nargs="?", type=Path, metavar="TUNING.json", help="what tunenet-tune wrote")
+    add("--restitution", type=number(0, 1), metavar="E", help="of the ball, in place of a tuning")
+    add(
+        "--slope",
+        type=number(-1, 1),
+        metavar="P",
+        help="with --restitution: how it falls with speed, (v / 3 m/s)^-P (default: 0)",
+    )
+    add("--rig", type=Path, metavar="FILE.yaml", help="your rig (default: the built-in one)")
+    add("--save-rig", type=Path, metavar="FILE.yaml", help="write the rig to edit, and stop")
+    add(
+        "--shots",
+        type=whole(2, 10_000),
+        default=100,
+        metavar="N",
+        help="heights to try (default: 100, as the paper)",
+    )
+    add(
+        "--restitution-sd",
+        type=number(0, 0.5),
+        metavar="SD",
+        help="with --restitution: its standard deviation (default: .01)",
+    )
+    files = parser.add_argument_group("files (replaced if they exist)")
+    files.add_argument(
+        "-o", "--json", type=Path, metavar="FILE", help="the plan, with each shot that was tried"
+    )
+    files.add_argument("--rrd", type=Path, metavar="FILE", help="the shots, for Rerun")
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Entry point of `tunenet-plan`."""
+    return run(build_parser(), _plan, argv)
+
+
+def _plan(arguments: argparse.Namespace) -> int:
+    from analysis.files import check_writable, replacing
+    from recorders.simulators.shot.rig import ShotRig
+    from recorders.simulators.shot.rig_file import read_rig, rig_text
+
+    rig = ShotRig() if arguments.rig is None else read_rig(arguments.rig)
+    if arguments.save_rig is not None:
+        _refuse_with_save(arguments)
+        _save_new(arguments.save_rig, rig_text(rig))
+        print(f"rig: {one_line(arguments.save_rig)}; edit it, then give it to --rig")
+        return 0
+    _refuse_own_input(arguments)
+    ball = _ball(arguments)
+    for name in ("json", "rrd"):
+        if getattr(arguments, name) is not None:
+            check_writable(getattr(arguments, name), f"--{name}")
+    if arguments.rrd is not None and arguments.rrd.suffix != ".rrd":
+        raise UsageError(f"{arguments.rrd}: Rerun opens .rrd; give --rrd a name that ends so")
+
+    from analysis.planning.plan import plan_shot
+    from analysis.planning.plan_report import plan_json, plan_table
+
+    plan = plan_shot(rig, ball, arguments.shots)
+    print(plan_table(plan))
+    for warning in plan.warnings:
+        print(one_line(f"tunenet-plan: {warning}"), file=sys.stderr)
+    if arguments.json is not None:
+        with replacing(arguments.json) as partial:
+            partial.write_text(plan_json(plan), "utf-8")
+    if arguments.rrd is not None:
+        from analysis.review.shot import write_shots
+
+        with replacing(arguments.rrd) as partial:
+            write_shots(plan, partial)
+        print(f"\nreview: rerun {one_line(arguments.rrd)}")
+    return int(plan.best is None)
+
+
+def _ball(arguments: argparse.Namespace) -> KnownBall:
+    from analysis.planning.known_ball import TOLD_SD, read_tuning, told_ball
+
+    if (arguments.tuning is None) == (arguments.restitution is None):
+        both = arguments.tuning is not None
+        raise UsageError(
+            "a tuning and --restitution: leave one out"
+            if both
+            else "which ball? give a tuning's .json, or --restitution"
+        )
+    if arguments.tuning is None:
+        slope, sd = arguments.slope, arguments.restitution_sd
+        return told_ball(arguments.restitution, slope or 0.0, TOLD_SD if sd is None else sd)
+    for name in ("slope", "restitution_sd"):
+        if getattr(arguments, name) is not None:
+            option = name.replace("_", "-")
+            raise UsageError(f"--{option} is for --restitution; a tuning tells it itself")
+    return read_tuning(arguments.tuning)
+
+
+def _refuse_with_save(arguments: argparse.Namespace) -> None:
+    for name in ("tuning", "restitution", "slope", "restitution_sd", "json", "rrd"):
+        if getattr(arguments, name) is not None:
+            option = name.replace("_", "-")
+            raise UsageError(f"--save-rig plans nothing; leave {option} out")
+
+
+def _refuse_own_input(arguments: argparse.Namespace) -> None:
+    """No output may replace what is read, or the other output."""
+    kinds = {"tuning": "the tuning", "rig": "--rig", "json": "--json", "rrd": "--rrd"}
+    given = [(name, getattr(arguments, name)) for name in kinds if getattr(arguments, name)]
+    for (first, one), (second, other) in combinations(given, 2):
+        if second in ("json", "rrd") and _is_same(one, other):
+            raise UsageError(f"{other}: is {kinds[first]} too; give --{second} another file")
+
+
+def _is_same(one: Path, other: Path) -> bool:
+    if one.exists() and other.exists():
+        return one.samefile(other)
+    return one.resolve() == other.resolve()
+
+
+def _save_new(path: Path, text: str) -> None:
+    """A file that somebody has edited is not replaced."""
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError as error:
+        raise UsageError(f"{path}: exists; give --save-rig another name") from error
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be written ({error.strerror})") from error
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,287 @@
+"""The world in which the bounce-shot experiment happens; nothing that plans a shot knows it.
+
+It shares no code with the planner's simulator (`recorders/simulators/shot`) nor with what tunes.
+A ball is stepped at 960 Hz (midpoint rule), one at a time, through quadratic drag; a step that
+would end inside of something ends where the ball touches it. At impacts: a restitution that falls
+with speed, sliding friction with spin, and for a ball that is not round a normal that is off by
+some degrees.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Vector = tuple[float, float, float]
+
+RATE_HZ = 960.0
+GRAVITY_M_S2 = 9.81
+RADIUS_M = 0.03
+MASS_KG = 0.040
+FRICTION = 0.25
+_AIR_KG_M3 = 1.2
+_DRAG_COEFFICIENT = 0.47
+DRAG_1_M = 0.5 * _AIR_KG_M3 * _DRAG_COEFFICIENT * math.pi * RADIUS_M**2 / MASS_KG
+_SPEED_M_S = 3.0
+"""At which a ball's restitution is told."""
+
+_LIVELIEST = 0.95
+_AT_REST_M_S = 0.03
+_HALVINGS = 40
+_MOST_IMPACTS = 8
+"""In one step; then the ball stays where it is until the next."""
+
+
+@dataclass(frozen=True)
+class HiddenBall:
+    """A ball as it is.
+
+    Attributes:
+        name: as on a label.
+        restitution: at 3 m/s.
+        slope: p, by which it falls with an impact's speed.
+        off_round_deg: standard deviation of the angle by which an impact's normal is off, in any
+            direction.
+    """
+
+    name: str
+    restitution: float
+    slope: float
+    off_round_deg: float = 0.0
+
+    @property
+    def is_round(self) -> bool:
+        """Whether its impacts are as they should be."""
+        return self.off_round_deg == 0
+
+    def restitution_at(self, speed_m_s: float) -> float:
+        """At an impact of this speed along the normal."""
+        share = max(speed_m_s, _AT_REST_M_S) / _SPEED_M_S
+        return min(self.restitution * share**-self.slope, _LIVELIEST)
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """Something to hit.
+
+    Attributes:
+        gap: from a ball's skin to it, by the ball's centre.
+        normal: unit vector out of it there.
+        restitution: of any ball on it; None where it is the ball's own.
+    """
+
+    gap: Callable[[Vector], float]
+    normal: Callable[[Vector], Vector]
+    restitution: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """What a ball did.
+
+    Attributes:
+        positions_m: of its centre at 960 Hz, shape (T, 3).
+        hits: which obstacle at which sample, in order.
+    """
+
+    positions_m: Array
+    hits: tuple[tuple[int, int], ...]
+
+    def at(self, seconds: Array) -> Array:
+        """Where it is at times after its release, shape (N, 3); where it started before."""
+        clock = np.arange(len(self.positions_m)) / RATE_HZ
+        return np.column_stack([np.interp(seconds, clock, axis) for axis in self.positions_m.T])
+
+
+def run_ball(
+    ball: HiddenBall,
+    start_m: Vector,
+    obstacles: Sequence[Obstacle],
+    seconds: float,
+    rng: np.random.Generator,
+    velocity_m_s: Vector = (0.0, 0.0, 0.0),
+    is_over: Callable[[Vector], bool] | None = None,
+) -> Run:
+    """Let a ball go and follow it for `seconds`, or until `is_over`."""
+    place, speed, spin = start_m, velocity_m_s, (0.0, 0.0, 0.0)
+    places, hits = [place], []
+    for sample in range(1, int(seconds * RATE_HZ) + 1):
+        left = 1 / RATE_HZ
+        for _ in range(_MOST_IMPACTS):
+            end, faster = _flown(place, speed, left)
+            hit, used = _first_hit(place, speed, left, end, obstacles)
+            if hit < 0:
+                place, speed = end, faster
+                break
+            place, speed = _flown(place, speed, used)
+            speed, spin = _impact(ball, obstacles[hit], place, speed, spin, rng)
+            hits.append((hit, sample))
+            left -= used
+        places.append(place)
+        if is_over is not None and is_over(place):
+            break
+    return Run(np.array(places), tuple(hits))
+
+
+def ground(height_m: float) -> Obstacle:
+    """A level floor without end."""
+    return Obstacle(lambda center: center[2] - height_m - RADIUS_M, lambda _: (0.0, 0.0, 1.0))
+
+
+def table(edge_m: float, heading_rad: float) -> Obstacle:
+    """A level table at height 0 that ends in a sharp edge, so far from the origin that way."""
+    ahead, aside = math.cos(heading_rad), math.sin(heading_rad)
+
+    def from_table(center: Vector) -> tuple[float, float]:
+        return max(center[0] * ahead + center[1] * aside - edge_m, 0.0), center[2]
+
+    def gap(center: Vector) -> float:
+        beyond, up = from_table(center)
+        return math.inf if beyond == 0 and up < -RADIUS_M else math.hypot(beyond, up) - RADIUS_M
+
+    def normal(center: Vector) -> Vector:
+        beyond, up = from_table(center)
+        away = math.hypot(beyond, up) or 1e-12
+        return ahead * beyond / away, aside * beyond / away, up / away
+
+    return Obstacle(gap, normal)
+
+
+def incline(tilt_rad: float, reach_m: float) -> Obstacle:
+    """A plane through the origin, down along x, that ends `reach_m` down its slope."""
+    normal = (math.sin(tilt_rad), 0.0, math.cos(tilt_rad))
+    down = (math.cos(tilt_rad), 0.0, -math.sin(tilt_rad))
+
+    def gap(center: Vector) -> float:
+        away = _dot(center, normal)
+        if _dot(center, down) > reach_m or away < -RADIUS_M:
+            return math.inf
+        return away - RADIUS_M
+
+    return Obstacle(gap, lambda _: normal)
+
+
+def ring(center_m: Vector, ring_m: float, rod_m: float, restitution: float) -> Obstacle:
+    """A horizontal ring of a round rod: radius to the rod's middle, and of the rod."""
+
+    def from_rod(center: Vector) -> tuple[float, float, float, float]:
+        x, y = center[0] - center_m[0], center[1] - center_m[1]
+        across = math.hypot(x, y) or 1e-12
+        share = 1 - ring_m / across
+        return x * share, y * share, center[2] - center_m[2], across
+
+    def gap(center: Vector) -> float:
+        x, y, z, _ = from_rod(center)
+        return math.sqrt(x * x + y * y + z * z) - rod_m - RADIUS_M
+
+    def normal(center: Vector) -> Vector:
+        x, y, z, _ = from_rod(center)
+        away = math.sqrt(x * x + y * y + z * z) or 1e-12
+        return x / away, y / away, z / away
+
+    return Obstacle(gap, normal, restitution)
+
+
+def _flown(place: Vector, speed: Vector, seconds: float) -> tuple[Vector, Vector]:
+    """A midpoint step."""
+    x, y, z = speed
+    slow = DRAG_1_M * math.sqrt(x * x + y * y + z * z)
+    half = seconds / 2
+    mx, my, mz = x - half * slow * x, y - half * slow * y, z - half * (GRAVITY_M_S2 + slow * z)
+    slow = DRAG_1_M * math.sqrt(mx * mx + my * my + mz * mz)
+    faster = (
+        x - seconds * slow * mx,
+        y - seconds * slow * my,
+        z - seconds * (GRAVITY_M_S2 + slow * mz),
+    )
+    return (place[0] + seconds * mx, place[1] + seconds * my, place[2] + seconds * mz), faster
+
+
+def _first_hit(
+    place: Vector, speed: Vector, left: float, end: Vector, obstacles: Sequence[Obstacle]
+) -> tuple[int, float]:
+    """Which obstacle a step ends in, and after how long it touches; -1 for none."""
+    found, soonest = -1, math.inf
+    for index, one in enumerate(obstacles):
+        if one.gap(end) >= 0:
+            continue
+        low, high = 0.0, left
+        for _ in range(_HALVINGS):
+            middle = (low + high) / 2
+            if one.gap(_flown(place, speed, middle)[0]) >= 0:
+                low = middle
+            else:
+                high = middle
+        if low < soonest:
+            found, soonest = index, low
+    return found, soonest
+
+
+def _impact(
+    ball: HiddenBall,
+    obstacle: Obstacle,
+    place: Vector,
+    speed: Vector,
+    spin: Vector,
+    rng: np.random.Generator,
+) -> tuple[Vector, Vector]:
+    """Velocity and spin after an impact."""
+    true_normal = obstacle.normal(place)
+    normal = true_normal if ball.is_round else _tilted(true_normal, ball.off_round_deg, rng)
+    arm = (-RADIUS_M * normal[0], -RADIUS_M * normal[1], -RADIUS_M * normal[2])
+    turning = _cross(spin, arm)
+    touching = (speed[0] + turning[0], speed[1] + turning[1], speed[2] + turning[2])
+    inward = -_dot(touching, normal)
+    if inward <= 0:
+        return _kept_out(speed, true_normal), spin
+    kept = ball.restitution_at(inward) if obstacle.restitution is None else obstacle.restitution
+    if inward < _AT_REST_M_S:
+        kept = 0.0
+    push = (1 + kept) * inward
+    slip = tuple(touching[i] + inward * normal[i] for i in range(3))
+    slipping = math.sqrt(slip[0] ** 2 + slip[1] ** 2 + slip[2] ** 2)
+    grip = min(FRICTION * push, slipping / 3.5) / slipping if slipping > 1e-9 else 0.0
+    kick = tuple(push * normal[i] - grip * slip[i] for i in range(3))
+    twist = _cross(arm, (kick[0], kick[1], kick[2]))
+    share = 1 / (0.4 * RADIUS_M**2)
+    after = (speed[0] + kick[0], speed[1] + kick[1], speed[2] + kick[2])
+    turned = (spin[0] + share * twist[0], spin[1] + share * twist[1], spin[2] + share * twist[2])
+    return _kept_out(after, true_normal), turned
+
+
+def _kept_out(speed: Vector, normal: Vector) -> Vector:
+    """No ball leaves into what it hit."""
+    out = _dot(speed, normal)
+    least = 0.003
+    if out >= least:
+        return speed
+    more = least - out
+    return speed[0] + more * normal[0], speed[1] + more * normal[1], speed[2] + more * normal[2]
+
+
+def _tilted(normal: Vector, sd_deg: float, rng: np.random.Generator) -> Vector:
+    off, turn = math.radians(rng.normal(0.0, sd_deg)), rng.uniform(0.0, 2 * math.pi)
+    one = np.cross(normal, (0.0, 1.0, 0.0) if abs(normal[1]) < 0.9 else (1.0, 0.0, 0.0))
+    one /= np.linalg.norm(one)
+    other = np.cross(normal, one)
+    aside = math.cos(turn) * one + math.sin(turn) * other
+    turned = np.array(normal) + math.tan(off) * aside
+    turned /= np.linalg.norm(turned)
+    return float(turned[0]), float(turned[1]), float(turned[2])
+
+
+def _dot(one: Sequence[float], other: Sequence[float]) -> float:
+    return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]
+
+
+def _cross(one: Vector, other: Vector) -> Vector:
+    return (
+        one[1] * other[2] - one[2] * other[1],
+        one[2] * other[0] - one[0] * other[2],
+        one[0] * other[1] - one[1] * other[0],
+    )

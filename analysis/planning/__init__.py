@@ -1,0 +1,1 @@
+"""What a tuned ball is for: the shot that a robot is to take."""

@@ -1,0 +1,182 @@
+"""From a ball to the shot: heights tried in the simulator, and the one that forgives most.
+
+As the paper does, heights are sampled evenly over what the robot reaches. Of those from which the
+ball passes the rim without touching it, the best is not simply the one that passes nearest to the
+centre: it is the one that may be farthest off, in restitution and in height, each in units of how
+well it is known.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.planning.known_ball import KnownBall
+from analysis.planning.tolerance import Range, height_ends, restitution_ends, signed_gap_m
+from recorders.simulators.bounce_shot import passes, shoot
+from recorders.simulators.shot.flight import Flights
+from recorders.simulators.shot.rig import ShotRig
+
+Array = NDArray[np.float64]
+
+SHOTS = 100
+"""Heights that are tried: the paper's number."""
+
+_ENOUGH_SDS = 30.0
+"""Of shots that forgive so much, the best is the one that passes nearest to the centre."""
+
+_MOST_JUDGED = 40
+_LEAST_HEIGHT_SD_M = 1e-4
+
+
+@dataclass(frozen=True)
+class BestShot:
+    """The shot to take.
+
+    Attributes:
+        index: of its height.
+        height_m: from which the ball is let go.
+        miss_m: from the hoop's centre where it passes.
+        clearance_m: between ball and rim at the nearest.
+        impact_m_s: speed along the plane's normal.
+        restitution: at that speed.
+        restitution_sd: of it.
+        restitutions: between which the ball still passes without touching the rim.
+        heights_m: likewise.
+        margin: the nearest of these four ends, in standard deviations.
+    """
+
+    index: int
+    height_m: float
+    miss_m: float
+    clearance_m: float
+    impact_m_s: float
+    restitution: float
+    restitution_sd: float
+    restitutions: Range
+    heights_m: Range
+    margin: float
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What came of trying.
+
+    Attributes:
+        heights_m: that were tried, shape (N,).
+        offset_m: where each would pass the hoop's plane, forward and left of its centre; NaN for
+            one that never comes down there; (N, 2).
+        clearance_m: between ball and rim; negative where it would touch or pass outside, (N,).
+        flights: with the rim in the way, and the paths.
+        best: None where no height passes.
+        seconds: that planning took.
+    """
+
+    rig: ShotRig
+    ball: KnownBall
+    heights_m: Array
+    offset_m: Array
+    clearance_m: Array
+    flights: Flights
+    best: BestShot | None
+    seconds: float
+
+    @property
+    def miss_m(self) -> Array:
+        """From the hoop's centre, shape (N,); NaN for a ball that never comes down there."""
+        return np.hypot(*self.offset_m.T)
+
+    @property
+    def nearest(self) -> int:
+        """The index that passes nearest to the centre."""
+        return int(np.argmin(np.nan_to_num(self.miss_m, nan=np.inf)))
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a user should know before the robot shoots."""
+        found = list(self.ball.remarks)
+        reach, best = self.rig.release, self.best
+        if best is None and np.isnan(self.miss_m).all():
+            found.append(
+                f"no height from {reach.lowest_m:g} to {reach.highest_m:g} m scores: from none "
+                "does the ball bounce and come down through the hoop's height (hoop.up_m "
+                f"{self.rig.hoop.up_m:g}): lower the hoop, or reach farther"
+            )
+        elif best is None:
+            found.append(
+                f"no height from {reach.lowest_m:g} to {reach.highest_m:g} m scores; the nearest "
+                f"misses the centre by {1000 * self.miss_m[self.nearest]:.0f} mm, from "
+                f"{self.heights_m[self.nearest]:.3f} m: move the hoop, or reach farther"
+            )
+        elif best.margin < 2:
+            found.append(
+                f"restitution {best.restitution:.3f} ± {best.restitution_sd:.3f} and a height kept "
+                f"to {1000 * reach.height_sd_m:.1f} mm leave {best.margin:.1f} standard deviations "
+                "to the rim: drop the ball again for a surer restitution, or widen the hoop"
+            )
+        return tuple(found)
+
+
+def plan_shot(rig: ShotRig, ball: KnownBall, shots: int = SHOTS) -> Plan:
+    """Try `shots` heights, 2 or more, and choose the best."""
+    start = time.perf_counter()
+    heights = np.linspace(rig.release.lowest_m, rig.release.highest_m, shots)
+    tried = passes(rig, ball.law, heights, np.zeros(shots))
+    best = _best(rig, ball, heights, tried)
+    return Plan(
+        rig=rig,
+        ball=ball,
+        heights_m=heights,
+        offset_m=tried.offset_m,
+        clearance_m=signed_gap_m(tried),
+        flights=shoot(rig, ball.law, heights),
+        best=best,
+        seconds=time.perf_counter() - start,
+    )
+
+
+def _best(rig: ShotRig, ball: KnownBall, heights: Array, tried: Flights) -> BestShot | None:
+    gaps = signed_gap_m(tried)
+    candidates = np.flatnonzero(gaps > 0)
+    if not len(candidates):
+        return None
+    misses = np.hypot(*tried.offset_m.T)
+    if len(candidates) > _MOST_JUDGED:
+        candidates = candidates[np.argsort(misses[candidates])[:_MOST_JUDGED]]
+    values = ball.law.at(tried.impact_m_s[candidates])
+    judged = []
+    for index, restitution, shifts, ends in zip(
+        candidates.tolist(),
+        values.tolist(),
+        restitution_ends(rig, ball, heights[candidates], values),
+        height_ends(rig, ball, heights, gaps, candidates),
+        strict=True,
+    ):
+        height, speed = float(heights[index]), float(tried.impact_m_s[index])
+        sd = ball.sd_at(speed)
+        room_m = min(height - ends[0], ends[1] - height)
+        margin = min(
+            min(-shifts[0], shifts[1]) / sd,
+            room_m / max(rig.release.height_sd_m, _LEAST_HEIGHT_SD_M),
+        )
+        judged.append(
+            BestShot(
+                index=index,
+                height_m=height,
+                miss_m=float(misses[index]),
+                clearance_m=float(gaps[index]),
+                impact_m_s=speed,
+                restitution=restitution,
+                restitution_sd=sd,
+                restitutions=(
+                    max(restitution + shifts[0], 0.0),
+                    min(restitution + shifts[1], 1.0),
+                ),
+                heights_m=ends,
+                margin=float(margin),
+            )
+        )
+    return max(judged, key=lambda one: (min(one.margin, _ENOUGH_SDS), -one.miss_m))

@@ -1,0 +1,114 @@
+"""A plan in words and in JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict
+from typing import Any
+
+from analysis.planning.plan import BestShot, Plan
+
+_EVERY = 10
+"""Of the heights that do not score, every tenth is in the table."""
+
+
+def plan_json(plan: Plan) -> str:
+    """The plan as one JSON object; its keys are a contract, new ones may be added."""
+    best = plan.best
+    shots = [
+        {
+            "height": height,
+            "miss": _or_none(miss),
+            "clearance": clearance if clearance > -1 else None,
+            "passes": clearance > 0,
+            "scores": through,
+            "touches_rim": touched,
+        }
+        for height, miss, clearance, through, touched in zip(
+            plan.heights_m.tolist(),
+            plan.miss_m.tolist(),
+            plan.clearance_m.tolist(),
+            plan.flights.is_through.tolist(),
+            plan.flights.has_touched.tolist(),
+            strict=True,
+        )
+    ]
+    told: dict[str, Any] = {
+        "task": "bounce-shot",
+        "unit": "m",
+        "ball": {
+            "restitution": plan.ball.law.restitution,
+            "slope": plan.ball.law.slope,
+            "at_speed": plan.ball.law.at_m_s,
+            "bounces": plan.ball.bounces,
+        },
+        "best": None if best is None else _best(best),
+        "warnings": list(plan.warnings),
+        "shots": shots,
+        "rig": asdict(plan.rig),
+        "seconds": {"plan": round(plan.seconds, 4)},
+    }
+    return json.dumps(told, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _best(best: BestShot) -> dict[str, Any]:
+    return {
+        "height": best.height_m,
+        "miss": best.miss_m,
+        "clearance": best.clearance_m,
+        "impact_speed": best.impact_m_s,
+        "restitution": best.restitution,
+        "restitution_sd": best.restitution_sd,
+        "tolerance": {"restitution": list(best.restitutions), "height": list(best.heights_m)},
+        "margin_sd": best.margin,
+    }
+
+
+def plan_table(plan: Plan) -> str:
+    """The heights that pass and every tenth of the others, then the best in words."""
+    head = f"{'height':>10}  {'miss':>8}  {'to the rim':>10}  outcome"
+    lines = [head]
+    for index, height in enumerate(plan.heights_m.tolist()):
+        passes = plan.clearance_m[index] > 0
+        if passes or index % _EVERY == 0 or index == len(plan.heights_m) - 1:
+            room = f"{1000 * plan.clearance_m[index]:.1f} mm" if passes else "-"
+            mark = "  <- best" if plan.best is not None and index == plan.best.index else ""
+            lines.append(
+                f"{height:8.4f} m  {_miss(float(plan.miss_m[index])):>8}  {room:>10}  "
+                f"{outcome_words(plan, index)}{mark}"
+            )
+    return "\n".join([*lines, "", *best_lines(plan)])
+
+
+def best_lines(plan: Plan) -> list[str]:
+    """The shot to take, and how far off all may be."""
+    best = plan.best
+    if best is None:
+        return ["no height scores"]
+    below, above = (1000 * abs(end - best.height_m) for end in best.heights_m)
+    return [
+        f"best: let go {best.height_m:.4f} m above the touch; passes {1000 * best.miss_m:.1f} mm "
+        f"from the centre, {1000 * best.clearance_m:.1f} mm from the rim",
+        f"restitution {best.restitution:.4f} ± {best.restitution_sd:.4f} at its impact of "
+        f"{best.impact_m_s:.2f} m/s along the plane's normal",
+        f"still passes with a restitution from {best.restitutions[0]:.4f} to "
+        f"{best.restitutions[1]:.4f}, or {below:.0f} mm lower to {above:.0f} mm higher",
+    ]
+
+
+def outcome_words(plan: Plan, index: int) -> str:
+    """What the simulator says of one height."""
+    if plan.clearance_m[index] > 0:
+        return "passes"
+    if plan.flights.has_touched[index]:
+        return "off the rim, in" if plan.flights.is_through[index] else "off the rim"
+    return "misses"
+
+
+def _miss(miss_m: float) -> str:
+    return "-" if math.isnan(miss_m) else f"{1000 * miss_m:.0f} mm"
+
+
+def _or_none(value: float) -> float | None:
+    return None if math.isnan(value) else value

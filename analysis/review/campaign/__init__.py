@@ -1,0 +1,77 @@
+"""The Rerun recording of a campaign, with its blueprint: an overview that leads to each attempt."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+from analysis.campaign.build import Campaign
+from analysis.campaign.rates import ball_rates, overall_rates, spreads
+from analysis.files import replacing
+from analysis.review.campaign.attempt import attempt_view, film_view, log_attempts, overlay_view
+from analysis.review.campaign.charts import log_rates, log_spreads, rate_view, spread_view
+from analysis.review.campaign.lanes import lane_view, log_lanes
+from analysis.review.campaign.times import ATTEMPT, slots_of
+from analysis.review.campaign.words import campaign_words
+
+
+def write_campaign(campaign: Campaign, path: Path) -> None:
+    """Write the review of a campaign to `path` (.rrd), whole or not at all.
+
+    Raises:
+        OSError: `path` cannot be written.
+    """
+    words = campaign_words(campaign)
+    told = os.fsencode(path.resolve()) + words.encode()
+    identity = hashlib.sha256(told).hexdigest()[:16]
+    stream = rr.RecordingStream("tunenet review campaign", recording_id=identity)
+    memory = stream.memory_recording()
+    stream.send_recording_name(campaign.name)
+    slots = slots_of(campaign.attempts)
+    log_lanes(stream, slots)
+    log_rates(stream, overall_rates(campaign.attempts), ball_rates(campaign.attempts))
+    log_spreads(stream, spreads(campaign.attempts))
+    log_attempts(stream, slots)
+    is_filmed = any(drop.film for one in campaign.attempts for drop in one.drops)
+    stream.send_blueprint(_blueprint(is_filmed=is_filmed))
+    stream.log("summary", rr.TextDocument(words, media_type="text/markdown"), static=True)
+    stream.flush()
+    with replacing(path) as partial:
+        partial.write_bytes(memory.drain_as_bytes())
+    stream.disconnect()
+
+
+def _blueprint(*, is_filmed: bool) -> rrb.Blueprint:
+    summary = rrb.TextDocumentView(origin="/summary", name="the campaign")
+    overview = rrb.Vertical(
+        lane_view("the attempts: a click goes to one"),
+        rrb.Horizontal(rate_view(), spread_view()),
+        _attempt(is_filmed=is_filmed),
+        row_shares=[2.7, 3, 3.1],
+        name="overview",
+    )
+    attempt = rrb.Vertical(
+        lane_view("the attempts"),
+        _attempt(is_filmed=is_filmed),
+        row_shares=[2.7, 6.1],
+        name="attempt",
+    )
+    return rrb.Blueprint(
+        rrb.Tabs(overview, attempt, rrb.Horizontal(summary, name="tables"), active_tab=0),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.TimePanel(state="collapsed", timeline=ATTEMPT, play_state="paused"),
+        auto_views=False,
+        auto_layout=False,
+    )
+
+
+def _attempt(*, is_filmed: bool) -> rrb.Container:
+    """The attempt under the cursor."""
+    if not is_filmed:
+        return rrb.Horizontal(overlay_view(), attempt_view(), column_shares=[5, 3])
+    return rrb.Horizontal(overlay_view(), film_view(), attempt_view(), column_shares=[5, 3, 3])

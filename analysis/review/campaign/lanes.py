@@ -1,0 +1,117 @@
+"""The lanes of a campaign: what was dropped, tuned and shot at each attempt, and how it ended."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from analysis.review.campaign.times import ATTEMPT, FILM, WALL, Slot
+from analysis.review.colors import FAILURE, MUTED, SUCCESS, Color
+from analysis.review.grid import mixed
+from tunenet_logs.wording import one_line
+
+_BALLS: tuple[Color, ...] = (
+    (90, 130, 190),
+    (190, 120, 90),
+    (100, 170, 120),
+    (170, 110, 170),
+    (180, 165, 90),
+    (90, 170, 175),
+)
+_AMBER: Color = (225, 165, 50)
+_STATES: dict[str, Color] = {
+    "drop": (66, 140, 220),
+    "drop again": (120, 120, 220),
+    "doubtful drop": _AMBER,
+    "rejected drop": FAILURE,
+    "no drop": MUTED,
+    "tuned": (40, 165, 200),
+    "not tuned": MUTED,
+    "shot": (160, 120, 220),
+    "given up": _AMBER,
+    "not shot": MUTED,
+    "success": SUCCESS,
+    "failure": FAILURE,
+    "not told": MUTED,
+}
+LANES = ("1_ball", "2_drop", "3_tuning", "4_shot", "5_outcome")
+"""Their names are what is written over them."""
+
+
+class _Step(NamedTuple):
+    """From when on a lane is in a state."""
+
+    lane: str
+    state: str
+    attempt: int
+    film_s: float
+    wall_ns: int | None
+
+
+def log_lanes(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
+    """Send the entities of `lane_view`."""
+    steps = [step for slot in slots for step in _steps(slot)]
+    for lane in LANES:
+        own = [one for one in steps if one.lane == lane]
+        colors = _ball_colors(own) if lane == LANES[0] else _STATES
+        style = rr.StateConfiguration(
+            values=list(colors), labels=list(colors), colors=list(colors.values())
+        )
+        stream.log(lane, style, static=True)
+        last = {one.attempt: one.state for one in own}  # of several drops the one that counts
+        ends = {**last, slots[-1].attempt.number + 1: None}
+        _send(stream, lane, rr.TimeColumn(ATTEMPT, sequence=list(ends)), list(ends.values()))
+        played: dict[float, str | None] = {one.start_s: None for one in slots}  # not yet known
+        played |= {one.film_s: one.state for one in own}
+        played[slots[-1].end_s] = None
+        _send(stream, lane, rr.TimeColumn(FILM, duration=list(played)), list(played.values()))
+        timed = [(one.wall_ns, one.state) for one in own if one.wall_ns is not None]
+        if timed:
+            stamps = np.array([stamp_ns for stamp_ns, _ in timed], "datetime64[ns]")
+            _send(stream, lane, rr.TimeColumn(WALL, timestamp=stamps), [one for _, one in timed])
+
+
+def lane_view(name: str) -> rrb.View:
+    """All lanes, over the whole of the active timeline."""
+    return rrb.StateTimelineView(contents=[f"+ /{lane}" for lane in LANES], name=name)
+
+
+def _ball_colors(steps: Sequence[_Step]) -> dict[str, Color]:
+    """One for each ball, none beside one like it."""
+    balls = list(dict.fromkeys(one.state for one in steps))
+    return {ball: mixed(_BALLS[index % len(_BALLS)], 0.75) for index, ball in enumerate(balls)}
+
+
+def _steps(slot: Slot) -> Iterator[_Step]:
+    number, outcome = slot.attempt.number, slot.attempt.outcome
+    ended_ns = outcome.stamp_ns or None if outcome is not None else None
+    first_ns = slot.drops[0].drop.wall_ns if slot.drops else ended_ns
+    yield _Step(LANES[0], one_line(slot.attempt.ball), number, slot.start_s, first_ns)
+    for index, shown in enumerate(slot.drops):
+        state = shown.drop.state
+        if index and state == "drop":
+            state = "drop again"
+        yield _Step(LANES[1], state, number, shown.start_s, shown.drop.wall_ns)
+    if not slot.drops:
+        yield _Step(LANES[1], "no drop", number, slot.start_s, None)
+    used = slot.attempt.used
+    dropped_ns = used.wall_ns if used is not None else None
+    is_tuned = slot.attempt.value is not None
+    yield _Step(LANES[2], "tuned" if is_tuned else "not tuned", number, slot.tuned_s, dropped_ns)
+    shot = "not shot" if outcome is None else "shot" if slot.attempt.was_shot else "given up"
+    yield _Step(LANES[3], shot, number, slot.shot_s, ended_ns)
+    word = "not told" if outcome is None else outcome.word
+    yield _Step(LANES[4], word, number, slot.outcome_s, ended_ns)
+
+
+def _send(
+    stream: rr.RecordingStream, entity: str, index: rr.TimeColumn, states: Sequence[str | None]
+) -> None:
+    """A state from each time on; None for none."""
+    known = [one for one in states if one is not None]
+    columns = rr.StateChange.columns(state=known).partition([one is not None for one in states])
+    stream.send_columns(entity, indexes=[index], columns=columns)

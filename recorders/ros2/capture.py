@@ -1,0 +1,321 @@
+"""From topics of a ROS 2 graph to a log: what arrives is kept as it came, gaps are counted."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from recorders.live import LiveRecording
+from recorders.ros2.joint_message import Meeting, stamp_of
+from recorders.ros2.node import Node, Publisher
+from recorders.ros2.pace import Pace
+from recorders.ros2.subscription import Subscription
+from recorders.ros2.wire_types import WIRE_TYPES
+from recorders.session import Summary, stop_flag
+from tunenet_logs.episode import EpisodeInfo
+from tunenet_logs.errors import TopicError
+from tunenet_logs.progress import Bar, Progress
+from tunenet_logs.wording import listed, one_line
+
+_WAIT_S = 0.1
+_SHOW_S = 0.5
+_MEETING_S = 1.0
+"""How long a topic is looked at before it is judged: it may have several publishers."""
+_LONGEST_TURN_S = 0.25
+"""What a turn of the loop counts for at most: a process that was stopped has not been waiting."""
+
+
+@dataclass(frozen=True)
+class JointOrder:
+    """What to record.
+
+    Attributes:
+        topics: as ROS 2 writes them.
+        joint_names: those that must be there; of messages that carry none, theirs in order.
+        seconds: length from the first message on; None: until a signal.
+        timeout_s: the longest to wait for a publisher, or that a topic may be silent.
+        domain: as ROS_DOMAIN_ID, 0 to 232.
+        is_loopback: whether to stay on this machine.
+        min_free_bytes: what is to stay free on the disk; 0 for no such bound.
+    """
+
+    topics: tuple[str, ...]
+    joint_names: tuple[str, ...] = ()
+    seconds: float | None = None
+    timeout_s: float = 5.0
+    domain: int = 0
+    is_loopback: bool = False
+    min_free_bytes: int = 0
+
+    @property
+    def source(self) -> str:
+        """Where from, in words."""
+        return f"ros2 {', '.join(self.topics)}"
+
+
+@dataclass(frozen=True)
+class JointSummary:
+    """What was recorded.
+
+    Attributes:
+        counts: messages of all topics.
+        topics: of each topic its rate and gaps, in words.
+    """
+
+    counts: Summary
+    topics: Mapping[str, str]
+
+    def in_words(self) -> str:
+        """For the last line that a recorder prints."""
+        each = "; ".join(f"{topic} {words}" for topic, words in self.topics.items())
+        return f"{each}; {self.counts.in_words('messages')}"
+
+
+def record_joints(
+    order: JointOrder,
+    path: Path,
+    *,
+    overwrite: bool,
+    progress: Progress,
+    warn: Callable[[str], None],
+) -> JointSummary:
+    """Write what is published on topics to a log until a signal, the time is over, or silence.
+
+    Args:
+        order: what to record.
+        path: the finished log.
+        overwrite: replace an existing log.
+        progress: shows rate and gaps.
+        warn: told what a user should hear of while there is time to change it.
+
+    Raises:
+        TopicError: a topic is not published, of a type that is not recorded, not heard, or without
+            the joints that were named; no log is left.
+        LogError: `path` exists or cannot be written, or its disk has too little space; what was
+            written before is kept.
+    """
+    notes = {"domain": str(order.domain)}
+    if order.joint_names:
+        notes["joint_names"] = ",".join(order.joint_names)
+    info = EpisodeInfo(kind="payload", source=order.source, notes=notes)
+    with (
+        stop_flag() as stop,
+        LiveRecording(
+            path, info, overwrite=overwrite, min_free_bytes=order.min_free_bytes
+        ) as recording,
+        progress.bar(None, "recording", "message") as bar,
+    ):
+        try:
+            session = _Session(order, recording, stop, bar, warn)
+            ended = session.run()
+        except Exception as error:
+            if isinstance(error, TopicError) or not recording.captured:
+                recording.discard()
+            raise
+        session.count()
+        summary = recording.close(ended)
+    return JointSummary(summary, {one.name: one.in_words() for one in session.heard})
+
+
+@dataclass
+class _Heard:
+    """What was heard on one topic so far.
+
+    Attributes:
+        meeting: what its messages say of joints.
+        meeting_s: how long they were looked at.
+        is_known: whether that is over.
+        silent_s: how long it has said nothing.
+    """
+
+    subscription: Subscription
+    meeting: Meeting
+    pace: Pace = field(default_factory=Pace)
+    meeting_s: float = 0.0
+    is_known: bool = False
+    silent_s: float = 0.0
+
+    @property
+    def name(self) -> str:
+        return self.subscription.topic
+
+    def in_words(self) -> str:
+        """Rate, gaps and losses."""
+        return f"{self.pace.in_words()}, {self.subscription.lost} lost"
+
+    def silence(self) -> str:
+        """How long nothing came, and why as far as DDS knows."""
+        one = self.subscription
+        words = f"no message on {one.topic} for {self.silent_s:.1f} s"
+        if one.unmatched and not one.publishers:
+            return f"{words}: its publisher's {one.why_unmatched} does not go with ours"
+        return words if one.publishers else f"{words}: its publisher is gone"
+
+
+class _Session:
+    """One recording.
+
+    Raises:
+        TopicError: a topic is not published, or of a type that is not recorded.
+    """
+
+    def __init__(
+        self,
+        order: JointOrder,
+        recording: LiveRecording,
+        stop: threading.Event,
+        bar: Bar,
+        warn: Callable[[str], None],
+    ) -> None:
+        self._order = order
+        self._recording = recording
+        self._stop = stop
+        self._bar = bar
+        self._warn = warn
+        self._node = Node(order.domain, is_loopback=order.is_loopback)
+        published = self._node.wait_for(order.topics, order.timeout_s, stop.is_set)
+        if not published.keys() >= set(order.topics):
+            raise TopicError(self._not_published(published))
+        types = {topic: _known_type(published[topic]) for topic in order.topics}
+        self.heard = [
+            _Heard(
+                self._node.subscribe(published[topic], types[topic]),
+                Meeting(topic, types[topic], order.joint_names),
+            )
+            for topic in order.topics
+        ]
+
+    def run(self) -> str:
+        """Record; why it ended, "" for its usual end.
+
+        Raises:
+            TopicError: nothing came, or not the joints that were named.
+        """
+        try:
+            ended = self._receive()
+            for one in self.heard:
+                self._judge(one)
+        except TopicError as error:
+            if not self._is_heard:
+                raise
+            ended = str(error)
+        if not self._recording.captured:
+            raise TopicError(f"{self._order.source}: {ended}; no log is left")
+        return ended
+
+    def count(self) -> None:
+        """Put what was counted into the log."""
+        for one in self.heard:
+            self._recording.count(f"received.{one.name}", one.pace.samples)
+            self._recording.count(f"gaps.{one.name}", one.pace.gaps)
+            self._recording.count(f"lost.{one.name}", one.subscription.lost)
+            gap_ms = round(one.pace.longest_gap_s * 1000)
+            self._recording.count(f"longest_gap_ms.{one.name}", gap_ms)
+            self._recording.note(f"measured_hz.{one.name}", f"{one.pace.rate_hz:.3f}")
+            if one.subscription.unmatched:
+                self._recording.note(
+                    f"unmatched.{one.name}", f"{one.subscription.unmatched} publishers not heard"
+                )
+
+    @property
+    def _is_heard(self) -> bool:
+        return all(one.meeting.is_met for one in self.heard)
+
+    def _receive(self) -> str:
+        turn_s = shown_s = time.monotonic()
+        first_s: float | None = None
+        while True:
+            self._node.wait(_WAIT_S)
+            is_stopped = self._stop.is_set()
+            now_s = time.monotonic()
+            passed_s, turn_s = min(now_s - turn_s, _LONGEST_TURN_S), now_s
+            for one in self.heard:
+                if not self._take(one, passed_s):
+                    return ""  # the log ended by itself; closing it says why
+            if first_s is None and self._recording.captured:
+                first_s = now_s
+            if ended := self._ending(is_stopped=is_stopped):
+                return ended
+            seconds = self._order.seconds
+            if seconds is not None and first_s is not None and now_s - first_s >= seconds:
+                return ""
+            if now_s - shown_s >= _SHOW_S:
+                shown_s = now_s
+                self._bar.set_postfix_str(
+                    "; ".join(f"{one.name} {one.in_words()}" for one in self.heard), refresh=False
+                )
+
+    def _take(self, one: _Heard, passed_s: float) -> bool:
+        """Put what came on a topic into the log; False once that is over."""
+        count = 0
+        subscription = one.subscription
+        for stamp_ns, cdr in subscription.take():
+            if not one.is_known:
+                one.meeting.hear(cdr)
+            if not self._recording.put_message(one.name, subscription.type_name, stamp_ns, cdr):
+                return False
+            one.pace.add(stamp_of(subscription.type_name, cdr) or stamp_ns)
+            count += 1
+        one.meeting_s += passed_s if one.pace.samples else 0.0
+        if one.meeting.is_complete or one.meeting_s >= _MEETING_S:
+            self._judge(one)
+        one.silent_s = 0.0 if count else one.silent_s + passed_s
+        if count:
+            self._bar.update(count)
+        return True
+
+    def _judge(self, one: _Heard) -> None:
+        """Judge a topic by what its messages said so far, once.
+
+        Raises:
+            TopicError: it has not the joints that were named.
+        """
+        if one.is_known:
+            return
+        one.meeting.check()
+        one.is_known = True
+        met = [other.meeting for other in self.heard if other.is_known and other.meeting.is_met]
+        if len(met) == len(self.heard):
+            lacking = [] if any(other.has_positions for other in met) else ["positions"]
+            lacking += [] if any(other.has_efforts for other in met) else ["torques (effort)"]
+            if lacking:
+                self._warn(
+                    f"no {' and no '.join(lacking)} in {', '.join(self._order.topics)}: a payload "
+                    "needs both; name the topic that has them too"
+                )
+
+    def _ending(self, *, is_stopped: bool) -> str:
+        if is_stopped:
+            captured = self._recording.captured
+            return "stopped by a signal" if captured else "stopped by a signal before a message"
+        silent = [one for one in self.heard if one.silent_s > self._order.timeout_s]
+        return silent[0].silence() if silent else ""
+
+    def _not_published(self, published: Mapping[str, Publisher]) -> str:
+        missing = [topic for topic in self._order.topics if topic not in published]
+        where = f"domain {self._order.domain}"
+        if self._order.is_loopback:
+            where += " of this machine"
+        if self._stop.is_set():
+            return f"{listed(missing)}: stopped by a signal before it was published; no log is left"
+        found = [f"{one.topic} ({', '.join(one.types)})" for one in published.values()]
+        there = f"there are {listed(found)}" if found else "no topic is published there"
+        return one_line(
+            f"{listed(missing)}: not published on {where} within {self._order.timeout_s:g} s; "
+            f"{there}; check the name, --domain and the network"
+        )
+
+
+def _known_type(publisher: Publisher) -> str:
+    known = [name for name in publisher.types if name in WIRE_TYPES]
+    if not known:
+        raise TopicError(
+            one_line(
+                f"{publisher.topic}: it is {' and '.join(publisher.types)}; what can be recorded "
+                f"live is {' and '.join(WIRE_TYPES)}"
+            )
+        )
+    return known[0]

@@ -1,0 +1,56 @@
+"""What `tunenet-record --simulate bounce-shot` records: as ordered, or drawn from the seed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from recorders.simulators.bounce_shot import BounceShot
+from recorders.simulators.drop import RESTITUTION
+from recorders.simulators.shot.rig import ShotRig
+from tunenet_logs.episode import Episode
+
+_DRAWN_RESTITUTION = (0.5, 0.85)
+
+
+@dataclass(frozen=True)
+class ShotOrder:
+    """A shot to simulate; None is drawn from the seed.
+
+    Attributes:
+        rig: where.
+        restitution: at 3 m/s along the plane's normal.
+        slope: how it falls with speed.
+        height_m: how far the ball falls; drawn from what the rig reaches.
+        rate_hz: samples a second.
+    """
+
+    rig: ShotRig = field(default_factory=ShotRig)
+    restitution: float | None = None
+    slope: float = 0.0
+    height_m: float | None = None
+    rate_hz: float = 240.0
+    seed: int = 0
+
+
+def simulate_shot(order: ShotOrder) -> Episode:
+    """Simulate one shot. The same order gives the same bits.
+
+    Raises:
+        UsageError: a value that is out of range.
+    """
+    rng = np.random.default_rng(order.seed)
+    reach = order.rig.release
+    restitution = float(rng.uniform(*_DRAWN_RESTITUTION))
+    height_m = float(rng.uniform(reach.lowest_m, reach.highest_m))
+    simulator = BounceShot(
+        rig=order.rig,
+        height_m=height_m if order.height_m is None else order.height_m,
+        slope=order.slope,
+        rate_hz=order.rate_hz,
+    )
+    wanted = restitution if order.restitution is None else order.restitution
+    episode = simulator.rollout({RESTITUTION.name: wanted})
+    notes = {"seed": str(order.seed), "slope": repr(order.slope)}
+    return Episode(replace(episode.info, notes=notes), episode.signals)

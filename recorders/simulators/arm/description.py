@@ -1,0 +1,282 @@
+"""A serial arm by its joints, the links that they carry and the frame in which it holds things."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET  # writes only
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from recorders.simulators.arm.frames import HERE, Frame, rpy_from_rotation
+from recorders.simulators.arm.inertia import Inertial, combined, solid_sphere
+from recorders.simulators.arm.urdf_reading import FileJoint, FileRobot, read_urdf
+from tunenet_logs.errors import UsageError
+from tunenet_logs.wording import listed, short_name
+
+PAYLOAD_RADIUS_M = 0.04
+"""Of the solid ball that stands for a payload: its own inertia cannot be told from torques."""
+
+JACO_URDF = Path(__file__).with_name("jaco7_robotiq85.urdf")
+JACO_TOOL_LINK = "tool_mount"
+
+_MOST_JOINTS = 32
+_MOST_PAYLOAD_KG = 1000.0
+_MOST_OFFSET_M = 10.0
+_UNLIMITED = 1e9
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A joint that moves, with all that it carries up to the next one.
+
+    Attributes:
+        is_prismatic: it slides: rad, rad/s and N·m are then m, m/s and N.
+        origin_m: the joint's frame in the one before it, at 0.
+        origin_rpy: likewise, roll, pitch and yaw.
+        axis: unit, in the joint's frame.
+        limits_rad: -inf, inf where it turns without end.
+        max_velocity_rad_s: inf where none is known.
+        max_effort_nm: likewise.
+        link: fixed parts and fingers lumped in.
+    """
+
+    name: str
+    is_prismatic: bool
+    origin_m: tuple[float, float, float]
+    origin_rpy: tuple[float, float, float]
+    axis: tuple[float, float, float]
+    limits_rad: tuple[float, float]
+    max_velocity_rad_s: float
+    max_effort_nm: float
+    link: Inertial
+
+
+@dataclass(frozen=True)
+class Payload:
+    """What the arm holds.
+
+    Attributes:
+        mass_kg: 0 for nothing.
+        com_m: its centre of mass in the tool frame.
+
+    Raises:
+        UsageError: not finite, or nothing that an arm holds.
+    """
+
+    mass_kg: float
+    com_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.mass_kg <= _MOST_PAYLOAD_KG:
+            raise UsageError(f"payload mass {self.mass_kg:g} is not from 0 to 1000 kg")
+        if len(self.com_m) != 3 or not all(abs(one) <= _MOST_OFFSET_M for one in self.com_m):
+            raise UsageError(f"payload centre {self.com_m} is not three numbers within 10 m")
+
+    def inertial(self) -> Inertial:
+        """As a solid ball about its centre of mass, in the tool frame."""
+        ball = solid_sphere(self.mass_kg, PAYLOAD_RADIUS_M)
+        return Inertial(ball.mass_kg, self.com_m, ball.inertia_kg_m2)
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A serial arm on a fixed base.
+
+    Attributes:
+        joints: from the base to the tool.
+        tool_from_last_m: the tool frame, where a payload sits, in the last joint's frame.
+        tool_from_last_rpy: likewise, roll, pitch and yaw.
+    """
+
+    name: str
+    joints: tuple[Joint, ...]
+    tool_from_last_m: tuple[float, float, float]
+    tool_from_last_rpy: tuple[float, float, float]
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """From the base to the tool."""
+        return tuple(joint.name for joint in self.joints)
+
+    def without_limits(self) -> Arm:
+        """The same arm: where it was measured, it can be."""
+        endless = (-math.inf, math.inf)
+        return replace(self, joints=tuple(replace(one, limits_rad=endless) for one in self.joints))
+
+    def urdf(self, payload: Payload | None = None) -> str:
+        """The arm for a physics engine: joints and inertias, no shapes.
+
+        Every link has an inertia, along its principal axes (PyBullet gives 1 kg to a link that has
+        none). A joint without end is a revolute one with far limits, so that it has one coordinate
+        everywhere. Names are ours, `joint_1` and `link_1` for the first: engines end where a name
+        is there twice. A payload that weighs anything is a link `payload` on a fixed joint.
+        """
+        robot = ET.Element("robot", name="arm")
+        _link(robot, "base", solid_sphere(1.0, 0.1))
+        parent = "base"
+        for number, joint in enumerate(self.joints, 1):
+            child = f"link_{number}"
+            _link(robot, child, joint.link)
+            kind = "prismatic" if joint.is_prismatic else "revolute"
+            element = ET.SubElement(robot, "joint", name=f"joint_{number}", type=kind)
+            _ends(element, parent, child, joint.origin_m, joint.origin_rpy)
+            ET.SubElement(element, "axis", xyz=_numbers(joint.axis))
+            low, high = joint.limits_rad
+            ET.SubElement(
+                element,
+                "limit",
+                lower=repr(max(low, -_UNLIMITED)),
+                upper=repr(min(high, _UNLIMITED)),
+                velocity=repr(min(joint.max_velocity_rad_s, _UNLIMITED)),
+                effort=repr(min(joint.max_effort_nm, _UNLIMITED)),
+            )
+            parent = child
+        if payload is not None and payload.mass_kg > 0:
+            _link(robot, "payload", payload.inertial())
+            element = ET.SubElement(robot, "joint", name="payload_mount", type="fixed")
+            _ends(element, parent, "payload", self.tool_from_last_m, self.tool_from_last_rpy)
+        return ET.tostring(robot, encoding="unicode")
+
+
+def read_arm(path: Path, tool_link: str) -> Arm:
+    """The chain of a URDF from its base to a link, the tool frame.
+
+    Parts that are fixed to the chain, and what moves beside it (fingers), are lumped into the
+    chain's links as they are with their joints at 0.
+
+    Args:
+        path: the URDF of any serial arm; of what hangs on its base, only the chain counts.
+        tool_link: the link in whose frame the payload is.
+
+    Raises:
+        UsageError: the file, a value in it or the chain makes no sense; names the remedy.
+    """
+    robot = read_urdf(path)
+    chain = _chain(path, robot, tool_link)
+    movers = [joint for joint in chain if joint.kind != "fixed"]
+    _check_movers(path, movers, tool_link)
+    carried = _carried(path, robot, {joint.child for joint in movers})
+    joints: list[Joint] = []
+    before = HERE
+    for joint in chain:
+        before = before @ joint.origin
+        if joint.kind == "fixed":
+            continue
+        link = combined(carried[joint.child])
+        if link.mass_kg <= 0:
+            raise UsageError(
+                f"{path}: joint {short_name(joint.name)} carries no mass; give link "
+                f"{short_name(joint.child)} its <inertial>"
+            )
+        origin_m, origin_rpy = _as_tuples(before)
+        joints.append(
+            Joint(
+                joint.name,
+                joint.kind == "prismatic",
+                origin_m,
+                origin_rpy,
+                joint.axis,
+                joint.limits,
+                joint.max_velocity,
+                joint.max_effort,
+                link,
+            )
+        )
+        before = HERE
+    return Arm(robot.name, tuple(joints), *_as_tuples(before))
+
+
+def jaco() -> Arm:
+    """Kinova's Jaco with 7 joints and a spherical wrist (j2s7s300), with a Robotiq 85.
+
+    The tool frame is 0.15 m from the gripper's base: x along the gripper, y as its fingers open.
+    """
+    return read_arm(JACO_URDF, JACO_TOOL_LINK)
+
+
+def _chain(path: Path, robot: FileRobot, tool_link: str) -> list[FileJoint]:
+    """The joints from the base to the tool."""
+    if tool_link not in robot.links:
+        raise UsageError(
+            f"{path}: has no link {short_name(tool_link)}; --tool-link is one of "
+            f"{listed(short_name(one) for one in robot.links)}"
+        )
+    chain: list[FileJoint] = []
+    link, seen = tool_link, {tool_link}
+    while (joint := robot.joints.get(link)) is not None:
+        chain.append(joint)
+        link = joint.parent
+        if link in seen:
+            raise UsageError(f"{path}: link {short_name(link)} hangs on itself in a loop")
+        seen.add(link)
+    return chain[::-1]
+
+
+def _check_movers(path: Path, movers: list[FileJoint], tool_link: str) -> None:
+    if not 1 <= len(movers) <= _MOST_JOINTS:
+        raise UsageError(
+            f"{path}: {len(movers)} joints move link {short_name(tool_link)}, an arm has 1 to "
+            f"{_MOST_JOINTS}; name the link that holds the payload with --tool-link"
+        )
+    for joint in movers:
+        name = short_name(joint.name)
+        if joint.kind in ("floating", "planar"):
+            raise UsageError(
+                f"{path}: joint {name} is {joint.kind}; an arm's are revolute, continuous or "
+                "prismatic, on a fixed base"
+            )
+        if joint.is_mimic:
+            raise UsageError(
+                f"{path}: joint {name} follows another one (<mimic>) but is on the way to "
+                f"{short_name(tool_link)}; choose a --tool-link before the fingers"
+            )
+
+
+def _carried(path: Path, robot: FileRobot, movers: set[str]) -> dict[str, list[Inertial]]:
+    """What each of the chain's moving links carries, in its frame; "" for the base."""
+    carried: dict[str, list[Inertial]] = {child: [] for child in movers} | {"": []}
+    placed: dict[str, tuple[str, Frame]] = {}
+    for link, own in robot.links.items():
+        trail: list[str] = []
+        at = link
+        while at not in placed and at not in movers and at in robot.joints:
+            if len(trail) > len(robot.links):
+                raise UsageError(f"{path}: link {short_name(link)} hangs on itself in a loop")
+            trail.append(at)
+            at = robot.joints[at].parent
+        holder, frame = placed.get(at, (at if at in movers else "", HERE))
+        for one in reversed(trail):
+            frame = frame @ robot.joints[one].origin
+            placed[one] = holder, frame
+        carried[holder].append(own.seen_from(frame))
+    return carried
+
+
+def _as_tuples(
+    frame: Frame,
+) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    x, y, z = (float(one) for one in frame.origin_m)
+    return (x, y, z), rpy_from_rotation(frame.rotation)
+
+
+def _link(robot: ET.Element, name: str, weight: Inertial) -> None:
+    moments, axes = weight.principal()
+    element = ET.SubElement(ET.SubElement(robot, "link", name=name), "inertial")
+    rpy = rpy_from_rotation(axes)
+    ET.SubElement(element, "origin", xyz=_numbers(weight.com_m), rpy=_numbers(rpy))
+    ET.SubElement(element, "mass", value=repr(weight.mass_kg))
+    xx, yy, zz = (repr(float(one)) for one in moments)
+    ET.SubElement(element, "inertia", ixx=xx, ixy="0", ixz="0", iyy=yy, iyz="0", izz=zz)
+
+
+def _ends(
+    joint: ET.Element, parent: str, child: str, origin_m: Sequence[float], rpy: Sequence[float]
+) -> None:
+    ET.SubElement(joint, "parent", link=parent)
+    ET.SubElement(joint, "child", link=child)
+    ET.SubElement(joint, "origin", xyz=_numbers(origin_m), rpy=_numbers(rpy))
+
+
+def _numbers(values: Sequence[float]) -> str:
+    return " ".join(repr(float(one)) for one in values)

@@ -1,0 +1,226 @@
+"""How an arm moves: the paper's circle, random smooth motions, and a user's own."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorders.simulators.arm.description import Arm
+from recorders.simulators.arm.kinematics import link_positions_m
+from recorders.simulators.arm.path_file import read_path_file
+from tunenet_logs.errors import UsageError
+
+Array = NDArray[np.float64]
+
+CIRCLE_CSV = Path(__file__).with_name("circle.csv")
+CIRCLE_RAD_S = 1.2
+"""The paper's: (-0.4, 0.2 cos(1.2 t), 0.2 sin(1.2 t)) m, here 0.3 m over the arm's base."""
+
+_SPEED_SHARE = 0.7
+_UNKNOWN_SPEED_RAD_S = 1.0
+_FREE_RAD = math.pi
+_TRIES = 2000
+
+
+@dataclass(frozen=True, eq=False)
+class JointPath:
+    """A motion, sampled; arrays are read-only.
+
+    Attributes:
+        seconds: increasing, shape (T,).
+        position_rad: shape (T, J), as all that follow; m, m/s and m/s² of a joint that slides.
+        velocity_rad_s: its derivative.
+        acceleration_rad_s2: and that one's.
+
+    Raises:
+        UsageError: shapes disagree, or a value is not finite.
+    """
+
+    seconds: Array
+    position_rad: Array
+    velocity_rad_s: Array
+    acceleration_rad_s2: Array
+
+    def __post_init__(self) -> None:
+        shape = np.shape(self.position_rad)
+        for item in fields(self):
+            values = np.array(getattr(self, item.name), np.float64)
+            wanted = shape[:1] if item.name == "seconds" else shape
+            if values.shape != wanted or len(shape) != 2 or not np.isfinite(values).all():
+                raise UsageError(
+                    f"a path's {item.name} has the shape {values.shape} or is not finite; "
+                    f"wanted is {wanted}"
+                )
+            values.flags.writeable = False
+            object.__setattr__(self, item.name, values)
+        if np.any(np.diff(self.seconds) <= 0):
+            raise UsageError("a path's times do not increase")
+
+    def part(self, kept: slice) -> JointPath:
+        """Some of its samples."""
+        return JointPath(*(getattr(self, item.name)[kept] for item in fields(self)))
+
+    def checked(self, arm: Arm) -> JointPath:
+        """Itself, if the arm has so many joints and may move so.
+
+        Raises:
+            UsageError: another number of joints, or a position beyond a joint's limits.
+        """
+        count = self.position_rad.shape[1]
+        if count != len(arm.joints):
+            raise UsageError(f"a path of {count} joints is none of {arm.name}: {len(arm.joints)}")
+        for joint, column in zip(arm.joints, self.position_rad.T, strict=True):
+            low, high = joint.limits_rad
+            least, most = float(column.min()), float(column.max())
+            if least < low - 1e-6 or most > high + 1e-6:
+                raise UsageError(
+                    f"the path takes {joint.name} from {least:.3f} to {most:.3f}, its limits are "
+                    f"{low:.3f} and {high:.3f}; choose another path"
+                )
+        return self
+
+
+def sample_times(rate_hz: float, seconds: float) -> Array:
+    """Times [s] from 0 at a rate, shape (T,): as many as fit before `seconds`."""
+    return np.arange(max(round(seconds * rate_hz), 2)) / rate_hz
+
+
+def circle(rate_hz: float = 60.0, seconds: float = 5.0) -> JointPath:
+    """The paper's circle by the shipped Jaco, from its first point on, at full speed throughout."""
+    return circle_at(sample_times(rate_hz, seconds))
+
+
+def circle_at(seconds: Array) -> JointPath:
+    """The paper's circle at any times [s], shape (T,)."""
+    coefficients = _circle_coefficients()
+    harmonics = 1j * CIRCLE_RAD_S * np.arange(len(coefficients))
+    waves = np.exp(np.asarray(seconds, np.float64)[:, None] * harmonics)
+    position, velocity, acceleration = (  # einsum: threads of a matrix product cost more here
+        np.real(np.einsum("th,hj->tj", waves, coefficients * harmonics[:, None] ** order))
+        for order in range(3)
+    )
+    return JointPath(np.asarray(seconds), position, velocity, acceleration)
+
+
+@cache
+def _circle_coefficients() -> NDArray[np.complex128]:
+    """Fourier coefficients of the shipped turn, shape (harmonics, 7)."""
+    _, _, position_rad = read_path_file(CIRCLE_CSV)
+    turn = position_rad[:-1]
+    spectrum = np.fft.rfft(turn, axis=0)[:32] / len(turn)
+    spectrum[1:] *= 2
+    return spectrum
+
+
+def random_path(arm: Arm, seed: int, rate_hz: float = 60.0, seconds: float = 5.0) -> JointPath:
+    """A smooth motion of all joints within their limits and 70 % of their speeds.
+
+    Each joint follows a few slow waves about a posture. Tool and wrist stay over the base's plane
+    and out of its column.
+
+    Raises:
+        UsageError: the arm leaves no room for one.
+    """
+    rng = np.random.default_rng([seed, 0x9A7B])
+    times = sample_times(rate_hz, seconds)
+    for _ in range(_TRIES):
+        path = _waves(arm, rng, times)
+        if path is not None and _is_clear(arm, path.position_rad):
+            return path
+    raise UsageError(f"no smooth motion of {arm.name} stays clear of its base; give a path's file")
+
+
+def _waves(arm: Arm, rng: np.random.Generator, times: Array) -> JointPath | None:
+    """Sums of three waves of 0.1 to 0.5 Hz; None where one joint's limits leave no room."""
+    columns: list[tuple[Array, Array, Array]] = []
+    for joint in arm.joints:
+        rad_s = 2 * np.pi * rng.uniform(0.1, 0.5, 3)
+        amplitudes = rng.normal(0.0, 1.0, 3) / rad_s
+        phase = np.multiply.outer(times, rad_s) + rng.uniform(0.0, 2 * np.pi, 3)
+        position, velocity = np.sin(phase) @ amplitudes, np.cos(phase) @ (amplitudes * rad_s)
+        acceleration = -np.sin(phase) @ (amplitudes * rad_s**2)
+        fastest = min(joint.max_velocity_rad_s, _UNKNOWN_SPEED_RAD_S) * _SPEED_SHARE
+        scale = rng.uniform(0.5, 1.0) * fastest / np.abs(velocity).max()
+        low, high = joint.limits_rad
+        low, high = max(low, -_FREE_RAD), min(high, max(low, -_FREE_RAD) + 2 * _FREE_RAD)
+        room = (high - low) - scale * np.ptp(position)
+        if room <= 0:
+            return None
+        start = low + rng.uniform(0.0, room) - scale * position.min()
+        columns.append((start + scale * position, scale * velocity, scale * acceleration))
+    return JointPath(times, *(np.column_stack(part) for part in zip(*columns, strict=True)))
+
+
+def _is_clear(arm: Arm, position_rad: Array) -> bool:
+    """Whether the outer half of the arm stays over the base's plane and out of its column."""
+    outer_m = link_positions_m(arm, position_rad)[:, -1 - len(arm.joints) // 2 :]
+    beside_m = np.hypot(outer_m[..., 0], outer_m[..., 1])
+    reach_m = sum(math.hypot(*joint.origin_m) for joint in arm.joints)
+    return bool(outer_m[..., 2].min() > 0.05 * reach_m and beside_m.min() > 0.1 * reach_m)
+
+
+def eased(path: JointPath, ease_s: float, rate_hz: float) -> JointPath:
+    """The same way from rest to rest: its time begins slowly over `ease_s`, and ends so.
+
+    It takes `ease_s` and up to one row longer than the path, and is nowhere faster.
+    """
+    from scipy.interpolate import CubicHermiteSpline
+
+    start_s, end_s = float(path.seconds[0]), float(path.seconds[-1])
+    rows = math.ceil((end_s - start_s + min(ease_s, (end_s - start_s) / 2)) * rate_hz)
+    lasts_s = rows / rate_hz
+    ease_s = lasts_s - (end_s - start_s)
+    seconds = np.arange(rows + 1) / rate_hz
+    share = np.clip(seconds / ease_s, 0, 1), np.clip((lasts_s - seconds) / ease_s, 0, 1)
+    gone, left = (ease_s * (one**3 - one**4 / 2) for one in share)
+    middle = np.clip(seconds, ease_s, lasts_s - ease_s) - ease_s
+    way = start_s + gone + middle + (ease_s / 2 - left)
+    speed = np.minimum(*(3 * one**2 - 2 * one**3 for one in share))
+    slope = np.where(seconds < lasts_s / 2, 1.0, -1.0)
+    least = np.minimum(*share)
+    change = slope * 6 * least * (1 - least) / ease_s
+    spline = CubicHermiteSpline(path.seconds, path.position_rad, path.velocity_rad_s)
+    velocity, bend = spline(way, 1), spline(way, 2)
+    return JointPath(
+        seconds,
+        spline(way),
+        velocity * speed[:, None],
+        bend * speed[:, None] ** 2 + velocity * change[:, None],
+    )
+
+
+def path_from_file(arm: Arm, file: Path, rate_hz: float = 60.0) -> JointPath:
+    """A user's motion (time_s and the joints' positions [rad]) as a smooth path.
+
+    Raises:
+        UsageError: the file is no such table, or the arm cannot move so.
+    """
+    names, times, position_rad = read_path_file(file)
+    order = _columns(arm, file, names)
+    if len(times) < 6:
+        raise UsageError(f"{file}: {len(times)} rows are no path; give at least 6")
+    from scipy.interpolate import make_interp_spline
+
+    spline = make_interp_spline(times - times[0], position_rad[:, order], k=5)
+    wanted = sample_times(rate_hz, float(times[-1] - times[0]))
+    path = JointPath(wanted, *(spline(wanted, nu) for nu in range(3)))
+    try:
+        return path.checked(arm)
+    except UsageError as error:
+        raise UsageError(f"{file}: {error}") from error
+
+
+def _columns(arm: Arm, file: Path, names: tuple[str, ...]) -> list[int]:
+    """Where the arm's joints are among the file's columns."""
+    missing = [name for name in arm.joint_names if name not in names]
+    if missing:
+        raise UsageError(
+            f"{file}: has no column {missing[0]}; its columns are {', '.join(names)}, wanted are "
+            f"time_s and {', '.join(arm.joint_names)}"
+        )
+    return [names.index(name) for name in arm.joint_names]

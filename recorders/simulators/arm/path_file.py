@@ -1,0 +1,108 @@
+"""Joint paths as tables: time_s, then a column of radians for each joint."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tunenet_logs.errors import LogError, UsageError
+from tunenet_logs.wording import short_name
+
+Array = NDArray[np.float64]
+
+_MOST_ROWS = 200_000
+_MOST_COLUMNS = 100
+_MOST_RAD = 1000.0
+_MOST_S = 3600.0
+_MOST_CHARACTERS = 10_000
+
+
+def read_path_file(file: Path) -> tuple[tuple[str, ...], Array, Array]:
+    """Names of the J joints, times [s], shape (T,), and positions [rad], shape (T, J).
+
+    Raises:
+        UsageError: no such table; with the line and what is wrong there.
+    """
+    try:
+        with file.open(encoding="utf-8-sig", newline="") as stream:
+            lines = iter(lambda: stream.readline(_MOST_CHARACTERS), "")
+            return _read(file, csv.reader(lines))
+    except OSError as error:
+        raise UsageError(f"{file}: {error.strerror}; a path is a CSV with time_s first") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise UsageError(f"{file}: is no CSV in UTF-8 ({error})") from error
+
+
+def _read(file: Path, lines: Iterable[list[str]]) -> tuple[tuple[str, ...], Array, Array]:
+    rows: list[list[float]] = []
+    header: list[str] = []
+    for number, cells in enumerate(lines, start=1):
+        if not any(cell.strip() for cell in cells):
+            continue
+        if not header:
+            header = [cell.strip() for cell in cells]
+            _check_header(file, header)
+            continue
+        rows.append(_row(file, number, cells, header))
+        if len(rows) > _MOST_ROWS:
+            raise UsageError(f"{file}: over {_MOST_ROWS} rows; give fewer samples a second")
+        if len(rows) > 1 and rows[-1][0] <= rows[-2][0]:
+            raise UsageError(f"{file}: line {number}: time_s does not increase")
+    if len(rows) < 2:
+        raise UsageError(f"{file}: holds {len(rows)} rows of numbers; a path has two or more")
+    table = np.array(rows)
+    return tuple(header[1:]), table[:, 0], table[:, 1:]
+
+
+def _check_header(file: Path, header: list[str]) -> None:
+    if header[0] != "time_s" or not 2 <= len(header) <= _MOST_COLUMNS:
+        raise UsageError(
+            f"{file}: begins with {short_name(','.join(header))}; a path begins with time_s and "
+            "the joints' names"
+        )
+    if len(set(header)) < len(header):
+        raise UsageError(f"{file}: two columns have one name")
+
+
+def _row(file: Path, number: int, cells: list[str], header: list[str]) -> list[float]:
+    if len(cells) != len(header):
+        raise UsageError(f"{file}: line {number}: {len(cells)} values under {len(header)} columns")
+    values: list[float] = []
+    for cell, name in zip(cells, header, strict=True):
+        try:
+            value = float(cell)
+        except ValueError:
+            value = math.nan
+        most = _MOST_S if name == "time_s" else _MOST_RAD
+        if not abs(value) <= most:
+            raise UsageError(
+                f"{file}: line {number}: {short_name(name)} is {short_name(cell)!r}, not a number "
+                f"within {most:g} {'s' if name == 'time_s' else 'rad'}"
+            )
+        values.append(value)
+    return values
+
+
+def write_path_file(
+    file: Path, names: Iterable[str], seconds: Array, position_rad: Array, *, overwrite: bool
+) -> None:
+    """Write a path; the counterpart of `read_path_file`.
+
+    Raises:
+        LogError: the file is there already, or cannot be written.
+    """
+    try:
+        with file.open("w" if overwrite else "x", encoding="utf-8", newline="") as stream:
+            table = csv.writer(stream, lineterminator="\n")
+            table.writerow(["time_s", *names])
+            for time_s, angles in zip(seconds.tolist(), position_rad.tolist(), strict=True):
+                table.writerow([f"{time_s:.6f}", *(f"{one:.12f}" for one in angles)])
+    except FileExistsError as error:
+        raise LogError(f"{file}: exists; choose another name, or give --overwrite") from error
+    except OSError as error:
+        raise LogError(f"{file}: cannot be written ({error.strerror})") from error

@@ -1,0 +1,223 @@
+"""A URDF file as its links and joints: strangers' XML, read strictly and with bounds."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET  # the document type, where its dangers lie, is refused
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from recorders.simulators.arm.frames import Frame
+from recorders.simulators.arm.inertia import NOTHING, Inertial
+from tunenet_logs.errors import UsageError
+from tunenet_logs.wording import short_name
+
+_MOST_BYTES = 4_000_000
+_MOST_PARTS = 1000
+_MOST_M, _MOST_RAD, _MOST_KG, _MOST_KG_M2 = 100.0, 1000.0, 10_000.0, 1e6
+_MOST_LIMIT = 1e9
+_TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
+_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+
+
+@dataclass(frozen=True, eq=False)
+class FileJoint:
+    """A joint as the file has it.
+
+    Attributes:
+        origin: the child's frame in the parent's, at 0.
+        axis: unit, in the child's frame.
+        limits: lower and upper; infinite where there are none.
+        is_mimic: it follows another joint.
+    """
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    origin: Frame
+    axis: tuple[float, float, float]
+    limits: tuple[float, float]
+    max_velocity: float
+    max_effort: float
+    is_mimic: bool
+
+
+@dataclass(frozen=True)
+class FileRobot:
+    """A robot as the file has it: what its links weigh, and its joints by the child's name."""
+
+    name: str
+    links: Mapping[str, Inertial]
+    joints: Mapping[str, FileJoint]
+
+
+def read_urdf(path: Path) -> FileRobot:
+    """Read links and joints; shapes, materials and extensions are left out.
+
+    Raises:
+        UsageError: not a URDF, or something in it that no robot has; with file, element and value.
+    """
+    root = _root(path)
+    links: dict[str, Inertial] = {}
+    for element in root.findall("link"):
+        place = _Place(path, element)
+        if place.name in links:
+            raise place.wrong("is there twice; rename one")
+        links[place.name] = _inertial(place)
+    joints: dict[str, FileJoint] = {}
+    names: set[str] = set()
+    for element in root.findall("joint"):
+        place = _Place(path, element)
+        joint = _joint(place, links)
+        if joint.name in names:
+            raise place.wrong("is there twice; rename one")
+        if joint.child in joints:
+            other = joints[joint.child].name
+            raise place.wrong(
+                f"and joint {short_name(other)} both carry link {short_name(joint.child)}; "
+                "a link hangs on one joint"
+            )
+        names.add(joint.name)
+        joints[joint.child] = joint
+    return FileRobot(root.get("name", "") or path.stem, links, joints)
+
+
+def _root(path: Path) -> ET.Element:
+    try:
+        with path.open("rb") as file:
+            data = file.read(_MOST_BYTES + 1)
+        text = data.decode("utf-8-sig")
+    except OSError as error:
+        raise UsageError(f"{path}: {error.strerror}; --urdf takes a robot's URDF file") from error
+    except UnicodeDecodeError as error:
+        raise UsageError(f"{path}: is no text in UTF-8, so no URDF that can be read") from error
+    if len(data) > _MOST_BYTES:
+        raise UsageError(f"{path}: over {_MOST_BYTES // 1_000_000} MB, so no URDF of an arm")
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise UsageError(f"{path}: has a document type, which no URDF needs; remove <!DOCTYPE ...>")
+    try:
+        root = ET.fromstring(text)  # noqa: S314  (bounded, and without a document type)
+    except (ET.ParseError, ValueError) as error:
+        raise UsageError(f"{path}: is not XML ({error}); --urdf takes a robot's URDF") from error
+    if root.tag != "robot":
+        raise UsageError(f"{path}: begins with <{short_name(root.tag)}>, a URDF with <robot>")
+    if any(_is_xacro(one) for one in root.iter()):
+        stem = path.name.removesuffix(".xacro").removesuffix(".urdf")
+        expanded = f"{stem}.urdf" if path.suffix == ".xacro" else f"{stem}_expanded.urdf"
+        raise UsageError(f"{path}: is xacro; expand it first: xacro {path.name} > {expanded}")
+    if len(root) > 10 * _MOST_PARTS or len(root.findall("link")) > _MOST_PARTS:
+        raise UsageError(f"{path}: over {_MOST_PARTS} links, so no URDF of an arm")
+    return root
+
+
+def _is_xacro(element: ET.Element) -> bool:
+    return "xacro" in element.tag or any("${" in value for value in element.attrib.values())
+
+
+class _Place:
+    """A link or joint in the file, to read from and to name in errors."""
+
+    def __init__(self, path: Path, element: ET.Element) -> None:
+        self.path = path
+        self.element = element
+        self.name = element.get("name", "")
+        if not self.name.strip() or len(self.name) > 200:
+            raise UsageError(f"{path}: a <{element.tag}> has no name of 1 to 200 characters")
+
+    def wrong(self, what: str) -> UsageError:
+        """The error that something is wrong here."""
+        return UsageError(f"{self.path}: {self.element.tag} {short_name(self.name)} {what}")
+
+    def numbers(
+        self, tag: str, key: str, count: int, most: float, default: str | None = None
+    ) -> tuple[float, ...]:
+        """So many numbers in an attribute of the child `tag`, e.g. "inertial/origin"."""
+        child = self.element.find(tag)
+        text = default if child is None else child.get(key, default)
+        if text is None:
+            raise self.wrong(f"has no <{tag} {key}=...>; add it")
+        try:
+            values = tuple(float(part) for part in text.split())
+        except ValueError:
+            values = ()
+        if len(values) != count or not all(math.isfinite(one) for one in values):
+            wanted = "a finite number" if count == 1 else f"{count} finite numbers"
+            raise self.wrong(f'has <{tag} {key}="{short_name(text)}">, which is not {wanted}')
+        if max(map(abs, values)) > most:
+            raise self.wrong(
+                f'has <{tag} {key}="{short_name(text)}">, beyond the {most:g} of any arm; '
+                "lengths are in m, angles in rad, masses in kg"
+            )
+        return values
+
+    def frame(self, tag: str) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+        """Origin [m], and roll, pitch and yaw [rad], of the child `tag`."""
+        x, y, z = self.numbers(tag, "xyz", 3, _MOST_M, "0 0 0")
+        roll, pitch, yaw = self.numbers(tag, "rpy", 3, _MOST_RAD, "0 0 0")
+        return (x, y, z), (roll, pitch, yaw)
+
+
+def _inertial(place: _Place) -> Inertial:
+    if place.element.find("inertial") is None:
+        return NOTHING
+    (mass_kg,) = place.numbers("inertial/mass", "value", 1, _MOST_KG)
+    if mass_kg < 0:
+        raise place.wrong(f"weighs {mass_kg:g} kg; give its mass, or 0")
+    moments = [place.numbers("inertial/inertia", key, 1, _MOST_KG_M2, "0")[0] for key in _MOMENTS]
+    own = Inertial(mass_kg, (0.0, 0.0, 0.0), tuple(moments))  # pyright: ignore[reportArgumentType]
+    least = float(np.linalg.eigvalsh(own.tensor())[0])
+    if least < -1e-9 * max(map(abs, moments)):
+        raise place.wrong(
+            f"has a principal moment of inertia of {least:.3g} kg m²; none is below 0, "
+            "correct its <inertia>"
+        )
+    return own.seen_from(Frame.at(*place.frame("inertial/origin")))
+
+
+def _joint(place: _Place, links: Mapping[str, Inertial]) -> FileJoint:
+    kind = place.element.get("type", "")
+    if kind not in _TYPES:
+        raise place.wrong(f'has type="{short_name(kind)}"; known are {", ".join(_TYPES)}')
+    ends: list[str] = []
+    for tag in ("parent", "child"):
+        element = place.element.find(tag)
+        link = "" if element is None else element.get("link", "")
+        if link not in links:
+            raise place.wrong(f'has <{tag} link="{short_name(link)}">, which is no link here')
+        ends.append(link)
+    axis = np.array(place.numbers("axis", "xyz", 3, 1e6, "1 0 0"))
+    length = float(np.linalg.norm(axis))
+    if kind in ("revolute", "continuous", "prismatic") and length < 1e-6:
+        raise place.wrong('has an <axis> of no direction; give one, such as xyz="0 0 1"')
+    x, y, z = (float(one) for one in axis / max(length, 1e-6))
+    limits, max_velocity, max_effort = _limits(place, kind)
+    return FileJoint(
+        name=place.name,
+        kind=kind,
+        parent=ends[0],
+        child=ends[1],
+        origin=Frame.at(*place.frame("origin")),
+        axis=(x, y, z),
+        limits=limits,
+        max_velocity=max_velocity,
+        max_effort=max_effort,
+        is_mimic=place.element.find("mimic") is not None,
+    )
+
+
+def _limits(place: _Place, kind: str) -> tuple[tuple[float, float], float, float]:
+    """Limits of position, greatest speed and effort; a speed or effort of 0 stands for none."""
+    limits = (-math.inf, math.inf)
+    if kind in ("revolute", "prismatic") and place.element.find("limit") is not None:
+        (low,) = place.numbers("limit", "lower", 1, _MOST_LIMIT, "0")
+        (high,) = place.numbers("limit", "upper", 1, _MOST_LIMIT, "0")
+        if low > high:
+            raise place.wrong(f"has a lower limit of {low:g} and an upper one of {high:g}")
+        limits = (low, high)
+    (velocity,) = place.numbers("limit", "velocity", 1, math.inf, "0")
+    (effort,) = place.numbers("limit", "effort", 1, math.inf, "0")
+    return limits, velocity if velocity > 0 else math.inf, effort if effort > 0 else math.inf

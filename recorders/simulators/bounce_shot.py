@@ -1,0 +1,115 @@
+"""The bounce shot of the paper's third experiment: off an inclined plane, through a hoop."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorders.simulators.base import Parameter
+from recorders.simulators.drop import RESTITUTION, TOPIC
+from recorders.simulators.shot.contact import Balls
+from recorders.simulators.shot.flight import COARSE_S, STEP_S, Flights, fly
+from recorders.simulators.shot.rig import ShotRig
+from recorders.simulators.shot.speed_law import SpeedLaw
+from tunenet_logs.episode import Episode, EpisodeInfo, Signal
+from tunenet_logs.errors import UsageError
+
+Array = NDArray[np.float64]
+
+KIND = "bounce-shot"
+ENGINE = "bounce-shot, from impact to impact"
+
+
+def shoot(rig: ShotRig, law: SpeedLaw, heights_m: Array) -> Flights:
+    """Shots from these heights, shape (N,), with their paths and the rim in their way."""
+    return fly(
+        rig, law, released(rig, heights_m), np.zeros(len(heights_m)), has_rim=True, keep=True
+    )
+
+
+def passes(rig: ShotRig, law: SpeedLaw, heights_m: Array, shifts: Array) -> Flights:
+    """The same as if the rim let everything through: where they would pass it, and how near.
+
+    Args:
+        rig: where.
+        law: of the ball.
+        heights_m: shape (N,).
+        shifts: added to the restitution of each shot, shape (N,).
+    """
+    start = released(rig, heights_m)
+    return fly(rig, law, start, shifts, has_rim=False, step_s=COARSE_S)
+
+
+def released(rig: ShotRig, heights_m: Array) -> Balls:
+    """Balls at rest straight above where they will touch."""
+    up = np.column_stack([np.zeros((len(heights_m), 2)), heights_m])
+    return Balls(rig.touch_m + up, np.zeros_like(up), np.zeros_like(up))
+
+
+@dataclass(frozen=True)
+class BounceShot:
+    """One shot; see `Simulator`.
+
+    Attributes:
+        rig: where.
+        height_m: how far the ball falls.
+        slope: how its restitution falls with speed; see `SpeedLaw`.
+        at_m_s: the impact's speed at which it has the restitution that is set.
+        rate_hz: samples a second.
+
+    Raises:
+        UsageError: a value that is not finite or out of range.
+    """
+
+    rig: ShotRig
+    height_m: float
+    slope: float = 0.0
+    at_m_s: float = 3.0
+    rate_hz: float = 240.0
+
+    parameters: tuple[Parameter, ...] = (RESTITUTION,)
+
+    def __post_init__(self) -> None:
+        if not 0.005 <= self.height_m <= 50:
+            raise UsageError(f"height_m {self.height_m:g} is not from 0.005 to 50 m")
+        if not 1 <= self.rate_hz <= 20_000:
+            raise UsageError(f"rate_hz {self.rate_hz:g} is not from 1 to 20000 Hz")
+
+    def rollout(self, values: Mapping[str, float]) -> Episode:
+        """The shot until the ball is below the hoop, with `values["restitution"]`."""
+        if set(values) != {RESTITUTION.name}:
+            raise UsageError(f"a shot takes the value restitution, not {sorted(values)}")
+        law = SpeedLaw(RESTITUTION.checked(values[RESTITUTION.name]), self.slope, self.at_m_s)
+        finer = int(np.ceil(1 / (self.rate_hz * STEP_S)))
+        flights = fly(
+            self.rig,
+            law,
+            released(self.rig, np.array([self.height_m])),
+            np.zeros(1),
+            has_rim=True,
+            step_s=1 / (self.rate_hz * finer),
+            keep=True,
+        )
+        places = flights.positions_m[::finer, 0]
+        stamps_ns = np.round(np.arange(len(places)) * (1e9 / self.rate_hz)).astype(np.int64)
+        info = EpisodeInfo(
+            kind=KIND,
+            source=ENGINE,
+            rig={
+                "ball_diameter_m": 2 * self.rig.ball.radius_m,
+                "shot_height_m": self.height_m,
+                "hoop_forward_m": self.rig.hoop.forward_m,
+                "hoop_up_m": self.rig.hoop.up_m,
+                "hoop_free_radius_m": self.rig.hoop.free_radius_m,
+                "plane_incline_deg": self.rig.plane.incline_deg,
+            },
+            truth={
+                RESTITUTION.name: law.restitution,
+                "success": float(flights.is_through[0]),
+                "miss_distance_m": float(np.nan_to_num(np.hypot(*flights.offset_m[0]), nan=-1.0)),
+            },
+        )
+        return Episode(info, {TOPIC: Signal(TOPIC, stamps_ns, places, ("x", "y", "z"), "m")})

@@ -1,0 +1,123 @@
+"""The rig of a bounce shot as a small YAML file that a person edits."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+from recorders.simulators.shot.rig import Hoop, Plane, Release, ShotBall, ShotRig
+from tunenet_logs.errors import UsageError
+from tunenet_logs.wording import one_line, short_name
+
+_LARGEST_BYTES = 100_000
+_PARTS: Mapping[str, type] = {"ball": ShotBall, "plane": Plane, "hoop": Hoop, "release": Release}
+_GRAVITY = "gravity_m_s2"
+
+_TEXT = """\
+# The rig of a bounce shot. Lengths in m, from the impact point: where the ball touches the plane.
+# What is left out is as here.
+ball:
+  radius_m: {ball[radius_m]}
+  mass_kg: {ball[mass_kg]}            # for the air's drag; null leaves the air out
+  drag_coefficient: {ball[drag_coefficient]}
+  inertia_share: {ball[inertia_share]}       # over m r^2: 0.4 solid, 0.667 a thin shell
+plane:
+  incline_deg: {plane[incline_deg]}        # from the horizontal, down towards the hoop
+  downhill_m: {plane[downhill_m]}         # from the impact point to its lower edge, along its slope
+  friction: {plane[friction]}
+hoop:                      # horizontal
+  forward_m: {hoop[forward_m]}          # its centre, horizontally
+  up_m: {hoop[up_m]}               # negative: below the impact point
+  free_radius_m: {hoop[free_radius_m]}     # of the opening
+  rim_m: {hoop[rim_m]}             # how thick the rim is
+  restitution: {hoop[restitution]}         # of the ball on the rim
+  friction: {hoop[friction]}
+release:                   # how far the ball falls until it touches the plane
+  lowest_m: {release[lowest_m]}
+  highest_m: {release[highest_m]}
+  height_sd_m: {release[height_sd_m]}       # how well the robot keeps a height
+gravity_m_s2: {gravity_m_s2}
+"""
+
+
+def rig_text(rig: ShotRig) -> str:
+    """The rig as a file, with a word on each value."""
+    told = asdict(rig)
+    if told["ball"]["mass_kg"] is None:
+        told["ball"]["mass_kg"] = "null"
+    return _TEXT.format(**told)
+
+
+def read_rig(path: Path) -> ShotRig:
+    """The rig of a file; what it leaves out is the default rig's.
+
+    Raises:
+        UsageError: cannot be read, is no YAML, or holds what no rig has; names file and value.
+    """
+    try:
+        with path.open("rb") as file:
+            data = file.read(_LARGEST_BYTES + 1)
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read ({error.strerror}); give --rig a file") from error
+    if len(data) > _LARGEST_BYTES:
+        raise UsageError(f"{path}: is larger than a rig's file ({_LARGEST_BYTES} bytes at most)")
+    try:
+        return _rig_of(_loaded(data))
+    except UsageError as error:
+        raise UsageError(f"{path}: {error}") from error
+
+
+def _loaded(data: bytes) -> Any:
+    """What the YAML holds; the safe loader makes plain values only."""
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    try:
+        return YAML(typ="safe", pure=True).load(io.StringIO(data.decode("utf-8")))
+    except (YAMLError, ValueError, RecursionError) as error:
+        mark = getattr(error, "problem_mark", None)
+        where = "" if mark is None else f" in line {mark.line + 1}"
+        what = getattr(error, "problem", None) or type(error).__name__
+        raise UsageError(
+            f"no YAML{where} ({one_line(what)}); see tunenet-plan --save-rig"
+        ) from error
+
+
+def _rig_of(told: Any) -> ShotRig:
+    values = _mapping(told, "the file", [*_PARTS, _GRAVITY])
+    given: dict[str, Any] = {}
+    for name, kind in _PARTS.items():
+        if name in values:
+            known = [item.name for item in fields(kind)]
+            part = _mapping(values[name], name, known)
+            given[name] = kind(**{key: _number(f"{name}.{key}", one) for key, one in part.items()})
+    if _GRAVITY in values:
+        given[_GRAVITY] = _number(_GRAVITY, values[_GRAVITY])
+    return ShotRig(**given)
+
+
+def _mapping(told: Any, what: str, known: list[str]) -> dict[str, Any]:
+    if told is None:
+        return {}
+    if not isinstance(told, dict):
+        raise UsageError(f"{what} is not a list of names with values; there is: {', '.join(known)}")
+    for key in told:
+        if key not in known:
+            raise UsageError(
+                f"{short_name(key)} is nothing of {what}; there is: {', '.join(known)}"
+            )
+    return told
+
+
+def _number(name: str, value: Any) -> float | None:
+    if value is None and name == "ball.mass_kg":
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise UsageError(f"{name} {short_name(value)} is not a number")
+    try:
+        return float(value)
+    except OverflowError as error:
+        raise UsageError(f"{name} is not a number of this size") from error

@@ -1,0 +1,59 @@
+"""tunenet-eval bounce-shot: a small campaign from end to end, and its files."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import ROOT
+from tunenet_logs.reader import read_episode
+
+
+def evaluate(*words: object) -> subprocess.CompletedProcess[str]:
+    """Run the command in a process of its own."""
+    line = [sys.executable, "-m", "analysis.cli.eval", "bounce-shot", *map(str, words)]
+    return subprocess.run(line, cwd=ROOT, capture_output=True, text=True, timeout=280)
+
+
+def test_a_small_campaign(tmp_path: Path):
+    folder, told = tmp_path / "shots", tmp_path / "shots.json"
+    words = ("--seeds", 1, "--targets", 3, "--sections", "campaigns", "--quiet")
+    result = evaluate(*words, "--campaign", folder, "--json", told, "--csv", tmp_path / "s.csv")
+    assert result.returncode == 0, result.stderr
+    assert "paper's, on the table" in result.stdout
+    assert "62 %" in result.stdout
+    record = json.loads(told.read_text())
+    assert len(record["trials"]) == 3
+    assert record["shares"]["paper's, all"]["of"] == 3
+    outcomes = sorted(folder.glob("outcome_*.mcap"))
+    assert len(outcomes) == 3
+    for trial in record["trials"]:
+        logs = sorted(folder.glob(f"drop_{trial['trial']:03d}_*.mcap"))
+        assert len(logs) == trial["drops"] == len(trial["verdicts"].split())
+        assert read_episode(logs[0]).info.kind == "drop"
+        if trial["restitution"] is not None and trial["round"]:
+            assert trial["restitution"] == pytest.approx(trial["truth_at_shot"], abs=0.02)
+    assert len((tmp_path / "s.csv").read_text().splitlines()) == 4
+
+
+def test_drops_are_judged():
+    result = evaluate("--seeds", 1, "--targets", 1, "--sections", "drops", "--quiet")
+    assert result.returncode == 0, result.stderr
+    assert "off the table" in result.stdout
+    assert "good" in result.stdout
+
+
+def test_wrong_usage(tmp_path: Path):
+    (tmp_path / "there").write_text("")
+    for words, said in (
+        (("--campaign", tmp_path), "is there already"),
+        (("--sections", "shots"), "no section 'shots'"),
+        (("--png", tmp_path / "x.png"), "--png is for drop"),
+    ):
+        result = evaluate(*words)
+        assert result.returncode == 2
+        assert said in result.stderr

@@ -1,0 +1,267 @@
+"""The bounce shot's simulator against closed forms, an ODE solver, and the laws of physics."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from recorders.simulators.bounce_shot import BounceShot, passes, released, shoot
+from recorders.simulators.shot.contact import Balls, collide
+from recorders.simulators.shot.flight import fly
+from recorders.simulators.shot.rig import Hoop, Plane, Release, ShotBall, ShotRig
+from recorders.simulators.shot.rig_file import read_rig, rig_text
+from recorders.simulators.shot.speed_law import SpeedLaw
+from recorders.simulators.shot.surfaces import Rim
+from tests.conftest import Command
+from tunenet_logs.errors import UsageError
+from tunenet_logs.reader import read_episode
+
+RIG = ShotRig()
+NO_AIR = replace(RIG, ball=ShotBall(mass_kg=None))
+HEIGHTS = np.linspace(0.25, 0.85, 13)
+
+
+def after_impact(rig: ShotRig, height_m: float, restitution: float) -> np.ndarray:
+    """Forward and up, of a solid ball that grips the plane: 5/7 of the speed along it is left."""
+    speed, tilt = np.sqrt(2 * rig.gravity_m_s2 * height_m), np.radians(rig.plane.incline_deg)
+    out, along = restitution * speed * np.cos(tilt), 5 / 7 * speed * np.sin(tilt)
+    return out * np.array([np.sin(tilt), np.cos(tilt)]) + along * np.array(
+        [np.cos(tilt), -np.sin(tilt)]
+    )
+
+
+@pytest.mark.parametrize("restitution", [0.5, 0.7, 0.85])
+def test_without_air_it_flies_on_the_parabola_of_the_closed_form(restitution: float):
+    flights = passes(NO_AIR, SpeedLaw(restitution), HEIGHTS, np.zeros(len(HEIGHTS)))
+    for index, height_m in enumerate(HEIGHTS):
+        forward, up = after_impact(NO_AIR, height_m, restitution)
+        fall = NO_AIR.touch_m[2] - NO_AIR.hoop.up_m
+        seconds = (up + np.sqrt(up**2 + 2 * 9.81 * fall)) / 9.81
+        wanted = NO_AIR.touch_m[0] + forward * seconds - NO_AIR.hoop.forward_m
+        assert flights.offset_m[index, 0] == pytest.approx(wanted, abs=5e-5)
+        assert flights.offset_m[index, 1] == 0
+    speeds = np.sqrt(2 * 9.81 * HEIGHTS) * np.cos(np.radians(25))
+    assert np.allclose(flights.impact_m_s, speeds, rtol=1e-6)
+
+
+def test_the_air_slows_it_as_an_ode_solver_says():
+    flights = passes(RIG, SpeedLaw(0.7), np.array([0.6]), np.zeros(1))
+    drag = RIG.ball.drag_1_m
+    assert drag == pytest.approx(0.5 * 1.2 * 0.47 * np.pi * 0.03**2 / 0.040)
+
+    def motion(_: float, state: np.ndarray) -> list[float]:
+        fast = np.hypot(state[2], state[3])
+        return [state[2], state[3], -drag * fast * state[2], -9.81 - drag * fast * state[3]]
+
+    def touch(_: float, state: np.ndarray) -> float:
+        return state[1]
+
+    def through(_: float, state: np.ndarray) -> float:
+        return state[1] + RIG.touch_m[2] - RIG.hoop.up_m
+
+    touch.terminal = through.terminal = True  # type: ignore[attr-defined]
+    fall = solve_ivp(motion, (0, 2), [0, 0.6, 0, 0], events=touch, rtol=1e-10, atol=1e-12).y[:, -1]
+    assert flights.impact_m_s[0] == pytest.approx(-fall[3] * np.cos(np.radians(25)), abs=1e-6)
+    equal_height_m = fall[3] ** 2 / (2 * 9.81)
+    start = [RIG.touch_m[0], 0, *after_impact(RIG, equal_height_m, 0.7)]
+    end = solve_ivp(motion, (0, 2), start, events=through, rtol=1e-10, atol=1e-12).y[:, -1]
+    assert flights.offset_m[0, 0] == pytest.approx(end[0] - 0.45, abs=5e-5)
+    without = passes(NO_AIR, SpeedLaw(0.7), np.array([0.6]), np.zeros(1))
+    assert without.offset_m[0, 0] - flights.offset_m[0, 0] > 0.005
+
+
+def test_a_hundredth_of_restitution_moves_it_by_about_nine_millimetres():
+    heights = np.array([0.432, 0.432])
+    offset = passes(RIG, SpeedLaw(0.6), heights, np.array([0.0, 0.01])).offset_m[:, 0]
+    assert offset[1] - offset[0] == pytest.approx(0.009, abs=0.001)
+
+
+def test_the_restitution_is_that_of_its_own_speed():
+    law = SpeedLaw(0.7, slope=0.1, at_m_s=3.0)
+    speed = np.sqrt(2 * 9.81 * 0.4) * np.cos(np.radians(25))
+    slow = passes(NO_AIR, law, np.array([0.4]), np.zeros(1))
+    same = passes(NO_AIR, SpeedLaw(0.7 * (speed / 3) ** -0.1), np.array([0.4]), np.zeros(1))
+    assert slow.offset_m[0, 0] == pytest.approx(same.offset_m[0, 0], abs=1e-9)
+
+
+def test_the_rim_is_a_torus_that_nothing_enters():
+    flights = shoot(RIG, SpeedLaw(0.7), np.linspace(0.25, 0.85, 100))
+    gaps = np.array([Rim(RIG).gaps_m(places) for places in flights.positions_m])
+    assert gaps.min() > -1e-8
+    assert 10 < np.count_nonzero(flights.has_touched) < 60
+    free = passes(RIG, SpeedLaw(0.7), np.linspace(0.25, 0.85, 100), np.zeros(100))
+    would = free.gap_m < 0
+    assert np.array_equal(would, flights.has_touched)
+    inside = np.hypot(*free.offset_m.T) < 0.066 - 0.03
+    assert np.count_nonzero(inside & ~free.is_through) == 0
+    # A point would pass where this ball hits the rim.
+    point = np.hypot(*free.offset_m.T) < 0.066
+    assert np.count_nonzero(point & flights.has_touched) > 5
+
+
+def test_smooth_and_elastic_it_keeps_its_energy_through_all_impacts():
+    rig = ShotRig(
+        ball=ShotBall(mass_kg=None),
+        plane=Plane(friction=0.0),
+        hoop=Hoop(forward_m=0.7, restitution=1.0, friction=0.0),
+    )
+    heights, law = np.linspace(0.25, 0.45, 21), SpeedLaw(1.0)
+    start, shifts = released(rig, heights), np.zeros(21)
+    flights = fly(rig, law, start, shifts, has_rim=True, step_s=1e-4, keep=True)
+    places = flights.positions_m
+    assert flights.has_touched.any()
+    speed = np.linalg.norm(places[2:] - places[:-2], axis=2) / 2e-4
+    energy = speed**2 / 2 + 9.81 * places[1:-1, :, 2]
+    at_rest = 9.81 * (heights + rig.touch_m[2])
+    flying = np.abs(np.diff(places, 2, axis=0)[:, :, 2] + 9.81e-8) < 1e-12
+    assert np.abs(energy - at_rest)[flying].max() < 1e-6
+
+
+def test_weak_gravity_only_slows_it():
+    """Without air the path does not depend on gravity, only the time it takes."""
+    slow = replace(NO_AIR, gravity_m_s2=0.1)
+    here = passes(NO_AIR, SpeedLaw(0.7), HEIGHTS, np.zeros(len(HEIGHTS)))
+    there = passes(slow, SpeedLaw(0.7), HEIGHTS, np.zeros(len(HEIGHTS)))
+    assert np.allclose(here.offset_m, there.offset_m, atol=1e-4)
+
+
+@pytest.mark.parametrize("ball", [ShotBall(), ShotBall(mass_kg=0.002), ShotBall(mass_kg=None)])
+def test_a_long_fall_has_the_time_it_takes(ball: ShotBall):
+    rig = replace(RIG, ball=ball, release=Release(0.25, 50.0))
+    flights = passes(rig, SpeedLaw(0.8), np.array([20.0, 50.0]), np.zeros(2))
+    assert np.isfinite(flights.offset_m).all()
+    assert (flights.offset_m[:, 0] > 0).all()
+
+
+def test_before_the_impact_nothing_counts():
+    """A hoop above the impact point, beside the fall: only a ball that bounced is through."""
+    rig = replace(RIG, hoop=Hoop(forward_m=0.35, up_m=0.15, free_radius_m=0.1))
+    flights = shoot(rig, SpeedLaw(0.85), HEIGHTS)
+    assert np.isfinite(flights.impact_m_s).all()
+    assert flights.is_through.any()
+    never = shoot(rig, SpeedLaw(0.1), HEIGHTS)
+    assert np.isnan(never.offset_m).all()
+    assert not never.is_through.any()
+
+
+def test_friction_stops_the_slip_or_takes_coulombs_share():
+    normal = np.array([[0.0, 0.0, 1.0]])
+    for friction, sticks in ((0.25, True), (0.05, False)):
+        balls = Balls(np.zeros((1, 3)), np.array([[1.0, 0.5, -3.0]]), np.zeros((1, 3)))
+        collide(balls, np.array([0]), normal, np.array([0.7]), friction, 0.03, 0.4)
+        slip = balls.velocity_m_s + np.cross(balls.spin_rad_s, -0.03 * normal)
+        assert balls.velocity_m_s[0, 2] == pytest.approx(2.1)
+        before, after = np.hypot(1.0, 0.5), np.linalg.norm(balls.velocity_m_s[0, :2])
+        if sticks:
+            assert np.abs(slip[0, :2]).max() < 1e-12
+            assert after == pytest.approx(5 / 7 * before)
+        else:
+            assert after == pytest.approx(before - friction * 5.1)
+            assert slip[0, :2] @ [1.0, 0.5] > 0
+
+
+def test_a_dead_ball_rolls_off_the_board():
+    flights = shoot(NO_AIR, SpeedLaw(0.0), np.array([0.3]))
+    path = flights.positions_m[:, 0]
+    on_board = path @ NO_AIR.plane.downhill < NO_AIR.plane.downhill_m
+    assert ((path @ NO_AIR.plane.normal)[on_board] > 0.03 - 1e-8).all()
+    assert path[-1, 2] < NO_AIR.hoop.up_m
+    assert not flights.is_through[0]
+
+
+def test_some_height_scores_for_every_ball_of_the_issue():
+    heights = np.linspace(RIG.release.lowest_m, RIG.release.highest_m, 100)
+    for restitution in np.arange(0.50, 0.851, 0.05):
+        flights = passes(RIG, SpeedLaw(float(restitution)), heights, np.zeros(100))
+        assert (flights.is_through & (flights.gap_m > 0)).any(), restitution
+
+
+def test_a_rig_is_what_its_file_says(tmp_path: Path):
+    rig = ShotRig(
+        ball=ShotBall(0.02, None, 0.5, 0.6),
+        plane=Plane(30.0, 0.2, 0.4),
+        hoop=Hoop(0.5, -0.05, 0.07, 0.008, 0.5, 0.3),
+        release=Release(0.2, 0.9, 0.003),
+        gravity_m_s2=9.8,
+    )
+    path = tmp_path / "rig.yaml"
+    path.write_text(rig_text(rig))
+    assert read_rig(path) == rig
+    path.write_text("hoop:\n  forward_m: 0.5\n")
+    assert read_rig(path) == replace(RIG, hoop=Hoop(forward_m=0.5))
+    path.write_text("# nothing\n")
+    assert read_rig(path) == RIG
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("hoop: {forward_m: a}", "hoop.forward_m a is not a number"),
+        ("hoop: {forward_m: yes}", "hoop.forward_m"),
+        ("hoop: {forward_m: .inf}", "hoop.forward_m inf is not a number from"),
+        ("hop: {}", "hop is nothing of the file; there is: ball"),
+        ("hoop: {forward: 1}", "forward is nothing of hoop"),
+        ("hoop: 3", "hoop is not a list of names with values"),
+        ("a: b: c", "no YAML in line 1"),
+        ("hoop: {}\nhoop: {}", "no YAML in line 2"),
+        ("!!python/object/apply:os.system [ls]", "no YAML"),
+        ("[" * 5000, "no YAML"),
+        ("\x00", "no YAML"),
+        ("ball: {radius_m: 0.07}", "lets no ball"),
+        ("ball: {mass_kg: 0.0001}", "lighter than the air"),
+        ("hoop: {forward_m: 0.05}", "in the ball's way"),
+        ("hoop: {forward_m: 0.03, up_m: 0.2}", "hoop.forward_m 0.03: the hoop hangs in"),
+        ("hoop: {forward_m: 0.1, up_m: 0.9}", "in the ball's way"),
+        ("release: {lowest_m: 0.9}", "is not below release.highest_m"),
+        ("gravity_m_s2: -9.81", "gravity_m_s2"),
+        ("ball: {radius_m: null}", "ball.radius_m"),
+        ("ball: {radius_m: 1" + "0" * 400 + "}", "ball.radius_m"),
+    ],
+)
+def test_a_bad_file_is_refused_by_name_and_value(tmp_path: Path, text: str, said: str):
+    path = tmp_path / "rig.yaml"
+    path.write_text(text)
+    with pytest.raises(UsageError) as error:
+        read_rig(path)
+    assert str(error.value).startswith(f"{path}: ")
+    assert said in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_file_that_is_none(tmp_path: Path):
+    with pytest.raises(UsageError, match="cannot be read"):
+        read_rig(tmp_path / "none.yaml")
+    path = tmp_path / "large.yaml"
+    path.write_bytes(b"#" * 200_000)
+    with pytest.raises(UsageError, match="larger than"):
+        read_rig(path)
+
+
+def test_a_shot_is_recorded(command: Command, tmp_path: Path):
+    log = tmp_path / "shot.mcap"
+    words = ("tunenet-record", "--simulate", "bounce-shot", "--restitution", 0.7)
+    result = command(*words, "--height", 0.335, "-o", log)
+    assert result.returncode == 0, result.stderr
+    assert "through the hoop" in result.stdout
+    episode = read_episode(log)
+    assert episode.info.kind == "bounce-shot"
+    assert episode.info.truth["success"] == 1
+    assert episode.info.rig["shot_height_m"] == 0.335
+    ball = episode.signals["/ball/pose"]
+    assert ball.rate_hz == pytest.approx(240)
+    again = BounceShot(RIG, 0.335).rollout({"restitution": 0.7})
+    assert np.array_equal(ball.values, again.signals["/ball/pose"].values)
+    refused = command("tunenet-record", "--simulate", "drop", "--rig", "x.yaml")
+    assert refused.returncode == 2
+    assert "--rig does not go with --simulate drop" in refused.stderr
+
+
+def test_a_value_that_no_shot_has_is_refused():
+    with pytest.raises(UsageError, match=r"restitution 1\.2 is"):
+        BounceShot(RIG, 0.4).rollout({"restitution": 1.2})
+    with pytest.raises(UsageError, match="height_m nan"):
+        BounceShot(RIG, float("nan"))

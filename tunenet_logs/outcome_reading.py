@@ -1,0 +1,166 @@
+"""Outcomes of a campaign: from any log with messages of that type, a folder of them, or a table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import NoReturn
+
+from tunenet_logs.errors import LogError
+from tunenet_logs.formats import opening
+from tunenet_logs.formats.base import DAMAGED, Container, Loss, RawChannel, RawMessage, described
+from tunenet_logs.formats.codec import Decode, MessageError, UnusableError
+from tunenet_logs.formats.codecs import decoder_for
+from tunenet_logs.formats.kinds import type_key
+from tunenet_logs.formats.mcap_places import MAGIC as MCAP_MAGIC
+from tunenet_logs.formats.mcap_places import channels_of_summary
+from tunenet_logs.formats.tables.lines import SUFFIXES, is_table
+from tunenet_logs.messages import TASK_OUTCOME
+from tunenet_logs.outcome import MOST_ATTEMPTS, Outcome, from_message
+from tunenet_logs.outcome_table import is_outcome_table, read_outcome_table
+
+Warn = Callable[[str], None]
+
+
+def _refuse(text: str) -> NoReturn:
+    raise LogError(text)
+
+
+def read_outcomes(path: Path, warn: Warn = _refuse) -> tuple[Outcome, ...]:
+    """The outcomes in a log, a folder of logs, or a table, in the order of their times.
+
+    Args:
+        path: an MCAP file with messages of tunenet_msgs/msg/TaskOutcome, in CDR or JSON,
+            one or many; a folder with such files, where others are passed over; or a CSV whose
+            columns are named task, ball, attempt, success, ...
+        warn: told of what is damaged, and of outcomes that make no sense; they are left out.
+
+    Raises:
+        LogError: there is no such file, it holds no outcome, or a line of a table is wrong; and,
+            without `warn`, anything that it would be told.
+    """
+    if opening.is_folder(path) and not (path / "metadata.yaml").exists():
+        files = outcome_files(path, warn)
+        found = numbered(one for file in files for one in _of_file(file, warn))
+    else:
+        found = list(_of_file(path, warn))
+    if not found:
+        raise LogError(f"{path}: holds no outcome; record one with tunenet-record --outcome")
+    return tuple(sorted(found, key=lambda one: (one.stamp_ns, one.attempt)))
+
+
+def numbered(outcomes: Iterable[Outcome]) -> list[Outcome]:
+    """Give those whose number was counted in a table one that no other of task and ball has.
+
+    Raises:
+        LogError: there is none left.
+    """
+    every = list(outcomes)
+    taken = {(one.task, one.ball, one.attempt) for one in every if not one.is_counted}
+    following: dict[tuple[str, str], int] = {}
+    for index, one in enumerate(every):
+        if not one.is_counted:
+            continue
+        kind = (one.task, one.ball)
+        number = max(one.attempt, following.get(kind, 1))
+        while (*kind, number) in taken:
+            number += 1
+        if number > MOST_ATTEMPTS:
+            raise LogError(f"{one.ball}: over {MOST_ATTEMPTS} attempts; write their numbers down")
+        following[kind] = number + 1
+        every[index] = replace(one, attempt=number)
+    return every
+
+
+def outcome_files(folder: Path, warn: Warn = _refuse) -> list[Path]:
+    """The files of a folder that hold outcomes; the first bytes and the last tell.
+
+    Args:
+        folder: those in it are not gone through.
+        warn: told of what cannot be read.
+
+    Raises:
+        LogError: without `warn`, anything that it would be told.
+    """
+    found: list[Path] = []
+    for file in sorted(folder.iterdir()):
+        if file.suffix.lower() not in (".mcap", *SUFFIXES) or not file.is_file():
+            continue
+        try:
+            found += [file] if holds_outcomes(file) else []
+        except LogError as error:
+            warn(str(error))
+    return found
+
+
+def holds_outcomes(file: Path) -> bool:
+    """Whether outcomes are in a file, without reading its messages.
+
+    A log whose end is damaged may hold some; it has to be read to know.
+
+    Raises:
+        LogError: it cannot be read.
+    """
+    try:
+        if is_table(file):
+            return is_outcome_table(file)
+        with open(file, "rb") as opened:
+            if opened.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
+                return False
+            channels = channels_of_summary(opened, file.stat().st_size)
+    except OSError as error:
+        raise LogError(f"{file}: cannot be read ({error.strerror})") from error
+    return not channels or any(map(_is_outcome, channels.values()))
+
+
+def _is_outcome(channel: RawChannel) -> bool:
+    return type_key(channel.type_name) == TASK_OUTCOME
+
+
+def _of_file(path: Path, warn: Warn) -> Iterator[Outcome]:
+    if path.is_file() and is_table(path):
+        yield from read_outcome_table(path)
+        return
+    found = opening.opened(path)
+    if not callable(found):
+        raise LogError(f"{path}: holds no outcome, but a recording; name it as one of drops")
+    yield from _of_log(path, found, warn)
+
+
+def _of_log(path: Path, container: Container, warn: Warn) -> Iterator[Outcome]:
+    losses: list[Loss] = []
+    decoders: dict[RawChannel, Decode | None] = {}
+    channels: list[RawChannel] = []
+    try:
+        for record in container(path, losses):
+            if isinstance(record, RawChannel):
+                channels.append(record)
+            elif isinstance(record, RawMessage) and _is_outcome(record.channel):
+                if record.channel not in decoders:
+                    decoders[record.channel] = _decoder(path, record.channel, warn)
+                decode = decoders[record.channel]
+                if decode is not None:
+                    yield from _decoded(path, decode, record.data, warn)
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read ({error.strerror})") from error
+    if channels and not any(map(_is_outcome, channels)):
+        return  # what is damaged is a recording of something else
+    for loss in losses:
+        if not loss.harmless:
+            warn(f"{path}: {loss}; save what is whole with tunenet-logs recover")
+
+
+def _decoder(path: Path, channel: RawChannel, warn: Warn) -> Decode | None:
+    try:
+        return decoder_for(channel)
+    except UnusableError as reason:
+        warn(f"{path}: the outcomes of {channel.topic} are not read: {reason}")
+        return None
+
+
+def _decoded(path: Path, decode: Decode, data: bytes | memoryview, warn: Warn) -> Iterator[Outcome]:
+    try:
+        yield from_message(decode(data))
+    except (MessageError, *DAMAGED) as error:
+        warn(f"{path}: an outcome was left out: {described(error)}")
