@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Iterator
 from fractions import Fraction
 from pathlib import Path
@@ -116,8 +117,21 @@ def packets(
                 encoder.max_b_frames = b_frames
         frame = av.VideoFrame.from_ndarray(pixels, format="rgb24")
         frame.pts = number
-        yield from ((packet.pts, bytes(packet)) for packet in encoder.encode(frame))
-    yield from ((packet.pts, bytes(packet)) for packet in encoder.encode(None))
+        yield from _encoded(encoder, frame)
+    yield from _encoded(encoder, None)
+
+
+def _encoded(encoder: Any, frame: av.VideoFrame | None) -> list[tuple[int, bytes]]:
+    """What the encoder gives for a picture; None for the rest.
+
+    SVT-AV1, run by root, makes its caller a real-time thread for good, and whatever else the
+    machine runs then waits for the tests that follow.
+    """
+    policy, parameter = os.sched_getscheduler(0), os.sched_getparam(0)
+    try:
+        return [(packet.pts, bytes(packet)) for packet in encoder.encode(frame)]
+    finally:
+        os.sched_setscheduler(0, policy, parameter)
 
 
 def png(pixels: np.ndarray) -> bytes:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from tunenet_logs.episode import Channel, Episode, Frame, Signal
+from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame, Signal
 from tunenet_logs.errors import LogError, UsageError
 from tunenet_logs.jpeg import compressed
+from tunenet_logs.output.log_place import LogPlace
 from tunenet_logs.progress import Progress
 from tunenet_logs.reader import read_episode
 from tunenet_logs.writer import EpisodeWriter
@@ -68,7 +70,7 @@ def import_log(
     info = replace(episode.info, source=source, notes=notes)
     total = sum(one.messages for one in episode.channels if one.skipped is None)
     with (
-        EpisodeWriter(output, info, overwrite=overwrite, live=False, is_import=True) as writer,
+        _whole_or_nothing(output, info, overwrite=overwrite) as writer,
         (progress or Progress(quiet=True)).bar(total, "importing", "message") as bar,
     ):
         for _, _, write in heapq.merge(*streams, key=lambda one: one[:2]):
@@ -78,6 +80,19 @@ def import_log(
             raise LogError(_why_nothing(path, episode))
     left_out = [f"{one.topic}: {one.skipped}" for one in episode.channels if one.skipped]
     return Imported(writer.written, tuple(left_out), tuple(topics.renamed), episode.warnings)
+
+
+@contextmanager
+def _whole_or_nothing(
+    output: Path, info: EpisodeInfo, *, overwrite: bool
+) -> Iterator[EpisodeWriter]:
+    """A writer whose file is gone again even where a signal comes before its first message."""
+    place = LogPlace(output, overwrite=overwrite, min_free_bytes=0)
+    try:
+        with EpisodeWriter(output, info, overwrite=overwrite, live=False, is_import=True) as writer:
+            yield writer
+    finally:
+        place.active_path.unlink(missing_ok=True)
 
 
 def ros_topic(name: str) -> str:

@@ -102,17 +102,34 @@ def test_processes_that_work_for_it_end_too(tmp_path: Path, seconds: float):
 @pytest.mark.parametrize("verb", ["import", "recover"])
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_copy_that_is_stopped_leaves_nothing(tmp_path: Path, long: Path, verb: str, number: int):
-    words = [BIN / "tunenet-logs", verb, long, "-o", tmp_path / "b.mcap"]
-    process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
-    while not list(tmp_path.iterdir()):
-        assert process.poll() is None
-        time.sleep(0.001)
-    time.sleep(0.05)
+    process, folder = held_while_it_copies(tmp_path, [BIN / "tunenet-logs", verb, long])
     process.send_signal(number)
+    process.send_signal(signal.SIGCONT)
     _, err = process.communicate(timeout=20)
     assert process.returncode == (143 if number == signal.SIGTERM else 130)
     assert err.count("\n") == 1
-    assert not list(tmp_path.iterdir())
+    assert not list(folder.iterdir())
+
+
+def held_while_it_copies(
+    tmp_path: Path, words: list[str | Path]
+) -> tuple[subprocess.Popen[str], Path]:
+    """A command that has begun its file and not ended it, stopped where it is."""
+    for trial in range(20):  # a machine that is busy may look too late
+        folder = tmp_path / str(trial)
+        folder.mkdir()
+        order = [*words, "-o", folder / "b.mcap"]
+        process = subprocess.Popen(order, stderr=subprocess.PIPE, text=True)
+        while not list(folder.iterdir()):
+            assert process.poll() is None
+            time.sleep(0.001)
+        process.send_signal(signal.SIGSTOP)
+        os.waitid(os.P_PID, process.pid, os.WSTOPPED | os.WEXITED | os.WNOWAIT)
+        if not (folder / "b.mcap").exists():
+            return process, folder
+        process.send_signal(signal.SIGCONT)
+        process.communicate(timeout=20)
+    raise AssertionError("it was always quicker")
 
 
 def test_a_recording_still_ends_whole(tmp_path: Path):
