@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -92,7 +92,8 @@ def _whole_or_nothing(
         with EpisodeWriter(output, info, overwrite=overwrite, live=False, is_import=True) as writer:
             yield writer
     finally:
-        place.active_path.unlink(missing_ok=True)
+        with suppress(OSError):
+            place.active_path.unlink(missing_ok=True)
 
 
 def ros_topic(name: str) -> str:

@@ -161,7 +161,11 @@ def _bounce_shot(
         if "campaigns" in wanted:
             for seed in seeds:
                 folder = arguments.campaign if seed == seeds[0] else None
-                done = run_campaign(seed, arguments.targets, arguments.jobs, progress, folder)
+                done = run_campaign(
+                    *(seed, arguments.targets, arguments.jobs, progress),
+                    folder=folder,
+                    effort=_effort(arguments),
+                )
                 results.extend(done)
             yield campaign_table(results)
         if "drops" in wanted:

@@ -78,7 +78,7 @@ def test_an_output_that_cannot_be_written_is_one_line(command: Command, drop_log
 
 def test_train_writes_weights_that_tune_takes(command: Command, drop_log: Path, tmp_path: Path):
     weights = tmp_path / "w.safetensors"
-    words = ("--pairs", 2000, "--epochs", 5, "-o", weights)
+    words = ("--pairs", 400, "--epochs", 2, "-o", weights)
     result = command("tunenet-train", "drop", *words)
     assert result.returncode == 0, result.stderr
     assert "s in all" in result.stdout

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from analysis.experiments.drop_networks import Effort
 from analysis.experiments.processes import Piece, spread
 from analysis.experiments.shots.hidden_drop import MISHAPS, drop_of
 from analysis.experiments.shots.hidden_film import DropFilm, film_of, record_film, track_of
@@ -161,10 +162,25 @@ class _Work:
 
 
 def run_campaign(
-    seed: int, count: int, jobs: int | None, progress: Progress, folder: Path | None = None
+    seed: int,
+    count: int,
+    jobs: int | None,
+    progress: Progress,
+    *,
+    folder: Path | None = None,
+    effort: Effort | None = None,
 ) -> tuple[TrialResult, ...]:
-    """All trials of a campaign; our logs, tunings and outcomes are kept in `folder` if given."""
-    model = train_papers(seed, progress)
+    """All trials of a campaign.
+
+    Args:
+        seed: of all that is drawn.
+        count: how many trials.
+        jobs: processes; None for all cores.
+        progress: shows how far it is.
+        folder: where our logs, tunings and outcomes are kept, if given.
+        effort: how much the paper's network is trained, where it is not as the paper says.
+    """
+    model = train_papers(seed, progress, effort or Effort())
     pieces = [
         Piece(_Work(trial, model, folder), 1, f"seed {seed}, {trial.ball.name}")
         for trial in draw_trials(seed, count)

@@ -13,13 +13,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.estimators.base import Problem
 from analysis.estimators.tunenet import TuneNet
+from analysis.experiments.drop_networks import Effort
 from analysis.experiments.shots.hidden_drop import DROP_M, FILMED_S, HELD_S
 from analysis.experiments.shots.hidden_film import FRAME_HZ, SIZE_PX, TRACK_NOISE_PX, random_view
 from analysis.experiments.shots.hidden_world import DRAG_1_M, GRAVITY_M_S2, RADIUS_M
@@ -53,21 +54,23 @@ class _Plan:
     seed: int | None = None
 
 
-def train_papers(seed: int, progress: Progress) -> Model:
+def train_papers(seed: int, progress: Progress, effort: Effort) -> Model:
     """The paper's network for this rig."""
     from analysis.tunenet.training import train
 
     rng = np.random.default_rng(seed)
     plans: list[_Plan] = []
-    for _ in range(_PAIRS):
+    pairs_count = effort.pairs or _PAIRS
+    for _ in range(pairs_count):
         gap_m = float(rng.uniform(*_HEIGHTS_M))
         plans.append(_Plan(gap_m, float(rng.uniform(*RESTITUTIONS))))
         value, camera = float(rng.uniform(*RESTITUTIONS)), int(rng.integers(2**62))
         plans.append(_Plan(gap_m, value, camera))
     observations = _observe(plans)
     values = np.array([[plan.restitution] for plan in plans])
-    pairs = PairSet(observations, values, *consecutive_pairs(_PAIRS))
-    return train(PaperNetwork(), pairs, PAPERS_CODE, seed, progress)
+    pairs = PairSet(observations, values, *consecutive_pairs(pairs_count))
+    recipe = replace(PAPERS_CODE, epochs=effort.epochs or PAPERS_CODE.epochs)
+    return train(PaperNetwork(), pairs, recipe, seed, progress)
 
 
 def papers_restitution(model: Model, rows: Array) -> float:
