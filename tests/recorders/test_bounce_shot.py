@@ -203,6 +203,7 @@ def test_a_rig_is_what_its_file_says(tmp_path: Path):
         ("hoop: {forward_m: a}", "hoop.forward_m a is not a number"),
         ("hoop: {forward_m: yes}", "hoop.forward_m"),
         ("hoop: {forward_m: .inf}", "hoop.forward_m inf is not a number from"),
+        ("plane: {downhill_m: 0}", "plane.downhill_m 0 is not a number from 0.001 to 10"),
         ("hop: {}", "hop is nothing of the file; there is: ball"),
         ("hoop: {forward: 1}", "forward is nothing of hoop"),
         ("hoop: 3", "hoop is not a list of names with values"),

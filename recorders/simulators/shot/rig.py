@@ -27,7 +27,7 @@ _LIMITS: dict[str, dict[str, Range]] = {
     },
     "plane": {
         "incline_deg": (0.0, 80.0),
-        "downhill_m": (0.0, 10.0),
+        "downhill_m": (0.001, 10.0),
         "friction": (0.0, 5.0),
     },
     "hoop": {
