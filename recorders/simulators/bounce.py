@@ -45,24 +45,21 @@ class Bounce:
 
     def flights(self, last: float) -> tuple[Array, Array]:
         """When each flight up to `last` starts, and with what speed; the first starts at 0."""
-        first = self.impact_speed
-        start, speed = 0.0, self._kept(0, 1.0) * first
-        starts, speeds = [start], [speed]
-        while start <= last and len(starts) < _MOST_FLIGHTS and speed > _SLOWEST:
-            lasted, impact = self.flight(speed)
+        first, each, told = self.impact_speed, self.each, len(self.each)
+        usual, power, has_drag = self.restitution, -self.slope, self.drag >= _NO_DRAG
+        start, speed = 0.0, (each[0] if each else min(usual, 1.0)) * first
+        starts, speeds, count = [start], [speed], 1
+        while start <= last and count < _MOST_FLIGHTS and speed > _SLOWEST:
+            lasted, impact = self.flight(speed) if has_drag else (speed, speed)
+            kept = each[count] if count < told else min(usual * (impact / first) ** power, 1.0)
             start += lasted
-            speed = self._kept(len(starts), impact / first) * impact
+            speed = kept * impact
             starts.append(start)
             speeds.append(speed)
+            count += 1
         if speed <= _SLOWEST:
             speeds[-1] = 0.0
         return np.array(starts), np.array(speeds)
-
-    def _kept(self, number: int, share: float) -> float:
-        """Restitution at an impact, whose speed is this share of the first one's."""
-        if number < len(self.each):
-            return self.each[number]
-        return min(self.restitution * share**-self.slope, 1.0)
 
     @property
     def impact_speed(self) -> float:
