@@ -19,7 +19,7 @@ demo: .venv/installed
 	@echo "look at them: $(BIN)/rerun demo/drop.rrd"
 
 test: check
-	$(BIN)/pytest -n auto --dist loadfile -m "not live"
+	$(BIN)/pytest -n auto --dist loadfile --no-loadscope-reorder -m "not live"
 	$(BIN)/pytest -m live
 
 check: .venv/developing
