@@ -52,7 +52,7 @@ class Eye:
         gain = self.background.gain(picture)
         placed: list[Placing] = []
         for x, y, grown in self._starts(picture, expected_px, still_px):
-            one = self.ball.place(picture, self.background, gain, x, y, grown)
+            one = self.ball.place(picture, self.background, gain, x, y, grown, placed)
             if one is None or not self._is_allowed(one) or _known(one, placed):
                 continue
             placed.append(one)
@@ -99,7 +99,7 @@ class Eye:
 
 
 def _known(one: Placing, placed: list[Placing]) -> bool:
-    return any(np.hypot(one.x - it.x, one.y - it.y) < 0.3 * it.radius_px for it in placed)
+    return any(it.is_near(one.x, one.y) for it in placed)
 
 
 def _colour(picture: Picture, one: Placing) -> Array:

@@ -24,6 +24,7 @@ class Patch:
     Attributes:
         seen, behind: shape (N, N, 3).
         inside: 1 where it is in the picture, shape (N, N).
+        bare: mean squared difference of the two, shape (N, N); 0 out of the picture.
         left, top: of its first pixel, in the picture.
         zoom: its pixels for one of the picture.
     """
@@ -31,6 +32,7 @@ class Patch:
     seen: Fine
     behind: Fine
     inside: Fine
+    bare: Fine
     left: int
     top: int
     zoom: float
@@ -83,7 +85,9 @@ def cut_patch(
         _reduced(part, outside, small)
         for part in (picture[box] * np.float32(gain), background.picture[box], inside)
     )
-    return Patch(seen, behind, (shown > 0.99).astype(np.float32), left, top, small / side)
+    known = (shown > 0.99).astype(np.float32)
+    bare = np.square(seen - behind).mean(axis=2) * known
+    return Patch(seen, behind, known, bare, left, top, small / side)
 
 
 def _reduced(part: NDArray[Any], outside: tuple[int, int, int, int], side: int) -> Fine:
@@ -98,17 +102,17 @@ def _reduced(part: NDArray[Any], outside: tuple[int, int, int, int], side: int) 
     return np.asarray(fine, np.float32)
 
 
-def moved(layers: Fine, values: Array, side: int) -> Fine:
-    """The ball's layers with its middle at x, y, grown, as `side` by `side` pixels."""
+def moved(layers: Fine, values: Array, box: tuple[slice, slice]) -> Fine:
+    """The ball's layers with its middle at x, y, grown, in the rows and columns of a patch."""
     import cv2
 
     x, y, growth = values[:3]
     grow = float(np.exp(growth))
-    middle = (layers.shape[0] - 1) / 2
-    turn = np.array([[grow, 0.0, x - grow * middle], [0.0, grow, y - grow * middle]])
-    return np.asarray(
-        cv2.warpAffine(layers, turn, (side, side), flags=cv2.INTER_LINEAR), np.float32
-    )
+    middle = grow * (layers.shape[0] - 1) / 2
+    rows, columns = box
+    turn = np.array([[grow, 0.0, x - middle - columns.start], [0.0, grow, y - middle - rows.start]])
+    size = (columns.stop - columns.start, rows.stop - rows.start)
+    return np.asarray(cv2.warpAffine(layers, turn, size, flags=cv2.INTER_LINEAR), np.float32)
 
 
 def straightened(picture: Fine, values: Array, side: int) -> Fine:

@@ -9,13 +9,16 @@ first wide).
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.observe.tracking.background import Background
-from analysis.observe.tracking.patches import Patch, cut_patch, moved
+from analysis.observe.tracking.drawn_ball import DrawnBall, draw_ball
+from analysis.observe.tracking.patches import Patch, cut_patch
 
 Picture = NDArray[np.uint8]
 Array = NDArray[np.float64]
@@ -25,9 +28,12 @@ FINE_PX = 9.0
 """A larger ball is reduced to that radius before it is fitted."""
 
 _MOST_STEPS = 10
-_NOISE = 4.0
-_ENOUGH_PX = 0.01
+_ENOUGH_PX = 0.03
+"""OpenCV moves pictures by whole 32nds of a pixel."""
+
 _NEAR_START = 0.25
+_NEAR = 0.3
+_FAR_WORSE = 1.5
 _LARGE, _LARGE_SHARE, _STRICTER = 30.0, 0.35, 0.65
 """Residuals that count little: at first only the largest, or there would be no pull to the edge."""
 
@@ -65,6 +71,10 @@ class Placing:
     radius_px: float
     misfit: float
 
+    def is_near(self, x: float, y: float) -> bool:
+        """Whether a place [px] is about this one."""
+        return math.hypot(x - self.x, y - self.y) < _NEAR * self.radius_px
+
 
 @dataclass(frozen=True, eq=False)
 class Appearance:
@@ -88,8 +98,9 @@ class Appearance:
         x: float,
         y: float,
         grown: float = 1.0,
+        known: Sequence[Placing] = (),
     ) -> Placing | None:
-        """The ball near a place; None where there is none in view.
+        """The ball near a place; None where there is none in view, or none that is not known.
 
         Args:
             picture: where it is looked for.
@@ -98,6 +109,7 @@ class Appearance:
             x: near its centre [px].
             y: likewise.
             grown: about its radius over `radius_px`.
+            known: found from other starts; what comes to one of them, or is far worse, is left.
         """
         patch = cut_patch(picture, background, gain, (x, y), self.radius_px * grown, self.zoom)
         if patch is None:
@@ -105,6 +117,9 @@ class Appearance:
         start = np.array([*patch.here(x, y), np.log(grown), 0.0, 0.0, 0.0])
         values, misfit = self.fit(patch, start, np.log(grown), _NARROW)
         if misfit > _SURE:
+            here = patch.there(values[0], values[1])
+            if any(misfit > _FAR_WORSE * it.misfit or it.is_near(*here) for it in known):
+                return None
             start = self.nearest(patch, start)
             values, misfit = self.fit(patch, start, np.log(grown))
         if np.hypot(*(values - start)[:2]) > _NEAR_START * self.radius_px * self.zoom:
@@ -162,26 +177,13 @@ class Appearance:
         tried = []
         for right, down, growth in _STARTS:
             values = start + np.array([right * step, down * step, growth, 0.0, 0.0, 0.0])
-            off = self._residual(patch, values)[0]
+            drawn = self._drawn(patch, values)
+            off = patch.bare if drawn is None else drawn.squared(patch)
             tried.append((float((off / (off + _LARGE**2)).sum()), values))
         return min(tried, key=lambda one: one[0])[1]
 
-    def _residual(self, patch: Patch, values: Array) -> tuple[Fine, Fine, Fine, tuple[Fine, Fine]]:
-        """Squared residuals (N, N), residuals (N, N, 3), the ball's layers, where in the ball.
-
-        The last are x of shape (1, N) and y of shape (N, 1).
-        """
-        side = patch.seen.shape[0]
-        layers = moved(self.layers, values, side)
-        size = np.float32(self.radius_px * self.zoom * np.exp(values[2]))
-        axis = np.arange(side, dtype=np.float32)
-        x, y = (axis[None] - values[0]) / size, (axis[:, None] - values[1]) / size
-        light = 1 + values[3] + values[4] * x + values[5] * y
-        layers[:, :, :3] *= light.astype(np.float32)[:, :, None]
-        model = patch.behind * (1 - layers[:, :, 3:]) + layers[:, :, :3]
-        off = (patch.seen - model) * patch.inside[:, :, None]
-        squared = np.einsum("ijk,ijk->ij", off, off) / np.float32(3)
-        return squared, off.astype(np.float32), layers, (x.astype(np.float32), y.astype(np.float32))
+    def _drawn(self, patch: Patch, values: Array) -> DrawnBall | None:
+        return draw_ball(self.layers, self.radius_px * self.zoom, patch, values)
 
     def fit(
         self, patch: Patch, start: Array, growth: float, at_first: float = _WIDE
@@ -190,15 +192,18 @@ class Appearance:
         values = start.copy()
         expected = np.array([0.0, 0.0, growth, 0.0, 0.0, 0.0])
         radius = self.radius_px * self.zoom
-        strict = max(_LARGE, _LARGE_SHARE * self._contrast(patch, self._residual(patch, values)[2]))
+        drawn = self._drawn(patch, values)
+        if drawn is None:
+            return values, np.inf
+        strict = max(_LARGE, _LARGE_SHARE * drawn.contrast(patch))
         for turn in range(_MOST_STEPS):
-            squared, off, layers, within = self._residual(patch, values)
+            squared = drawn.squared(patch)
             large = strict * max(1.0, at_first * _STRICTER**turn)
-            weight = patch.inside / (1 + squared / large**2) ** 2
-            jacobian = self._jacobian(patch, layers, within, radius)
-            weighted = jacobian * np.repeat(weight.reshape(-1), 3)
-            normal = (weighted @ jacobian.T).astype(np.float64)
-            towards = (weighted @ off.reshape(-1)).astype(np.float64)
+            weight = patch.inside / (1 + squared / np.float32(large**2)) ** 2
+            jacobian = drawn.jacobian(radius)
+            weighted = (jacobian * weight[drawn.box][:, :, None]).reshape(6, -1)
+            normal = (weighted @ jacobian.reshape(6, -1).T).astype(np.float64)
+            towards = (weighted @ drawn.off.reshape(-1)).astype(np.float64)
             noise = max(float((weight * squared).sum() / (weight.sum() + 1e-9)), 1.0)
             normal += 3 * noise * _PRIOR
             towards -= 3 * noise * _PRIOR @ (values - expected)
@@ -206,43 +211,11 @@ class Appearance:
             normal[1, 1] += 1e-3
             step = np.linalg.solve(normal, towards)
             step[:2] *= min(1.0, 0.4 * radius / (float(np.hypot(*step[:2])) + 1e-9))
-            step[2] = np.clip(step[2], -0.1, 0.1)
+            step[2] = min(max(step[2], -0.1), 0.1)
             values = values + step
+            drawn = self._drawn(patch, values)
+            if drawn is None:
+                return values, np.inf
             if large == strict and np.abs(step[:2]).max() < _ENOUGH_PX:
                 break
-        squared, _, layers, _ = self._residual(patch, values)
-        inside = (layers[:, :, 3] > 0.5) & (patch.inside > 0)
-        if not inside.any():
-            return values, np.inf
-        beyond_noise = max(float(squared[inside].mean()) - _NOISE**2, 0.0)
-        return values, float(np.sqrt(beyond_noise)) / self._contrast(patch, layers)
-
-    def _contrast(self, patch: Patch, layers: Fine) -> float:
-        """How far the ball stands out, rms, at least 1."""
-        inside = (layers[:, :, 3] > 0.5) & (patch.inside > 0)
-        stands_out = (layers[:, :, :3] - patch.behind * layers[:, :, 3:])[inside]
-        return float(np.sqrt((stands_out**2).mean() + 1.0)) if len(stands_out) else 1.0
-
-    def _jacobian(
-        self, patch: Patch, layers: Fine, within: tuple[Fine, Fine], radius: float
-    ) -> Fine:
-        """What each value changes, shape (6, 3 N^2)."""
-        right, down = (
-            patch.behind * one[:, :, 3:] - one[:, :, :3]
-            for one in (_slope(layers, 1), _slope(layers, 0))
-        )
-        x, y = (one[:, :, None] for one in within)
-        colours = layers[:, :, :3]
-        grown = np.float32(radius) * (x * right + y * down)
-        rows = (right, down, grown, colours, colours * x, colours * y)
-        return np.stack([one.reshape(-1) for one in rows])
-
-
-def _slope(layers: Fine, axis: int) -> Fine:
-    """Central differences."""
-    slope = np.zeros_like(layers)
-    if axis == 0:
-        slope[1:-1] = (layers[2:] - layers[:-2]) / 2
-    else:
-        slope[:, 1:-1] = (layers[:, 2:] - layers[:, :-2]) / 2
-    return slope
+        return values, drawn.misfit(patch)
