@@ -1,0 +1,170 @@
+"""Twenty faults as a careless engineer makes them.
+
+They were chosen from the source alone, before any test was looked at: six where values are fitted,
+five where logs are read, five where they are written, four where a verdict is passed. Of these the
+suite caught 13 at first; seven tests were written for the rest.
+"""
+
+from __future__ import annotations
+
+from benchmarks.faults.fault import Fault
+
+FITS = (
+    Fault(
+        "through the air, a bounce comes down in the time that it went up",
+        "recorders/simulators/bounce.py",
+        "lasted = (math.atan(reach) + math.asinh(reach))",
+        "lasted = (math.atan(reach) + math.atan(reach))",
+        ("tests/recorders/test_bounce.py",),
+    ),
+    Fault(
+        "the interval of a smoothed track counts every sample as one of its own",
+        "analysis/refine/bounce_fit.py",
+        "allowed = variance * worth * float(t.ppf(0.975, freedom)) ** 2",
+        "allowed = variance * float(t.ppf(0.975, freedom)) ** 2",
+        ("tests/analysis/test_bounce_fit.py",),
+    ),
+    Fault(
+        "the drag of a known ball goes with the fall time, not with its square",
+        "analysis/observe/film_fit.py",
+        "known = self.drag_1_s2 * np.exp(2 * unknowns[FALL])",
+        "known = self.drag_1_s2 * np.exp(unknowns[FALL])",
+        ("tests/analysis/test_film_value.py", "tests/analysis/test_film.py"),
+    ),
+    Fault(
+        "the error of the centre of mass has the mass's part with the wrong sign",
+        "analysis/refine/payload_fit.py",
+        "np.concatenate([-com_m[:, None], np.eye(3)], axis=1)",
+        "np.concatenate([com_m[:, None], np.eye(3)], axis=1)",
+        ("tests/analysis/test_payload_fit.py", "tests/analysis/test_payload.py"),
+    ),
+    Fault(
+        "a sample of an arm is fresh only if all of its joints changed",
+        "analysis/observe/arm_log.py",
+        "new[1:] = np.any(values[1:] != values[:-1], axis=1)",
+        "new[1:] = np.all(values[1:] != values[:-1], axis=1)",
+        ("tests/analysis/test_arm_log.py",),
+    ),
+    Fault(
+        "the drag of a drop has fall and flight swapped",
+        "analysis/observe/free_fall.py",
+        "drag=1 - fall_gravity / flight_gravity,",
+        "drag=1 - flight_gravity / fall_gravity,",
+        ("tests/analysis/test_tuning_doubts.py", "tests/analysis/test_free_fall.py"),
+    ),
+)
+
+READERS = (
+    Fault(
+        "a log whose data checksum is wrong is not taken for changed",
+        "tunenet_logs/formats/mcap_container.py",
+        "self.losses.append(Loss(what, taints=self.unprotected))",
+        "self.losses.append(Loss(what))",
+        ("tests/analysis/test_tuning_doubts.py", "tests/tunenet_logs/test_reader.py"),
+    ),
+    Fault(
+        "a chunk that a killed rosbag never closed is not read",
+        "tunenet_logs/formats/ros1_bag.py",
+        "if head.end > self.file.size or not head.data_bytes:  # cut, or never closed",
+        "if head.end > self.file.size:  # cut",
+        ("tests/tunenet_logs/test_ros1_bag.py",),
+    ),
+    Fault(
+        "a single missing message of a .db3 bag is not told",
+        "tunenet_logs/formats/ros2_db3.py",
+        "if last > seen and len(self._losses) == before:",
+        "if last > seen + 1 and len(self._losses) == before:",
+        ("tests/tunenet_logs/test_ros2_db3.py",),
+    ),
+    Fault(
+        "the decimals of a table's seconds are taken for nanoseconds",
+        "tunenet_logs/formats/tables/times.py",
+        'int((found[2] or "").ljust(9, "0"))',
+        'int(found[2] or "0")',
+        ("tests/tunenet_logs/test_table_times.py", "tests/tunenet_logs/test_csv_table.py"),
+    ),
+    Fault(
+        "a protobuf pose without a position is at 0, 0, 0",
+        "tunenet_logs/formats/protobuf.py",
+        "            _check_present(getattr(message, name), inner)\n",
+        "",
+        ("tests/tunenet_logs/test_protobuf.py",),
+    ),
+)
+
+WRITERS = (
+    Fault(
+        "after a write that failed, the next one leaves a hole of zeros",
+        "tunenet_logs/output/whole_file.py",
+        "            os.lseek(self._descriptor, self.size_bytes, os.SEEK_SET)\n",
+        "",
+        ("tests/tunenet_logs/test_mcap_output.py", "tests/tunenet_logs/test_full_disk.py"),
+    ),
+    Fault(
+        "a full disk gives up the whole summary before the index of chunks",
+        "tunenet_logs/output/mcap_output.py",
+        "            record + ending(at, crc32, index, has_chunk_index=False),\n"
+        "            record + bare_ending(crc32),\n",
+        "            record + bare_ending(crc32),\n"
+        "            record + ending(at, crc32, index, has_chunk_index=False),\n",
+        ("tests/tunenet_logs/test_mcap_output.py",),
+    ),
+    Fault(
+        "a recovered message has receipt and acquisition swapped",
+        "tunenet_logs/recovery.py",
+        "            message.log_ns,\n"
+        "            bytes(message.data),\n"
+        "            message.publish_ns,\n",
+        "            message.publish_ns,\n"
+        "            bytes(message.data),\n"
+        "            message.log_ns,\n",
+        ("tests/tunenet_logs/test_recovery.py",),
+    ),
+    Fault(
+        "a message larger than the queue never passes",
+        "recorders/topic_queue.py",
+        "return bool(self._items) and self._held_bytes + size_bytes > self._limit_bytes",
+        "return self._held_bytes + size_bytes > self._limit_bytes",
+        ("tests/recorders/test_live.py",),
+    ),
+    Fault(
+        "what a full disk never took is not counted as dropped",
+        "tunenet_logs/writer.py",
+        "dropped = captured - self.written",
+        "dropped = captured - self.accepted",
+        ("tests/tunenet_logs/test_full_disk.py", "tests/tunenet_logs/test_writer.py"),
+    ),
+)
+
+VERDICTS = (
+    Fault(
+        "an interval is given although the cross-check disagrees",
+        "analysis/tuning.py",
+        "if doubts or (self.cross_check is not None and not self.cross_check.agrees):",
+        "if doubts:",
+        ("tests/analysis/test_tuning.py", "tests/analysis/test_tuning_doubts.py"),
+    ),
+    Fault(
+        "a drop that falls with too little gravity passes",
+        "analysis/observe/quality.py",
+        "abs(drop.gravity_m_s2 / _GRAVITY_M_S2 - 1) < 0.05,",
+        "drop.gravity_m_s2 / _GRAVITY_M_S2 - 1 < 0.05,",
+        ("tests/analysis/test_tuning_doubts.py", "tests/analysis/test_tuning.py"),
+    ),
+    Fault(
+        "a ball's radius in the picture is taken for its diameter",
+        "analysis/observe/film_quality.py",
+        "diameter_px = 2 * float(np.nanmedian(film.track.radius_px[film.used]))",
+        "diameter_px = float(np.nanmedian(film.track.radius_px[film.used]))",
+        ("tests/analysis/test_film.py", "tests/analysis/test_film_value.py"),
+    ),
+    Fault(
+        "an arm's slow torques are hidden by its fast positions",
+        "analysis/observe/arm_quality.py",
+        "slow_hz = min(log.position.rate_hz, log.effort.rate_hz)",
+        "slow_hz = max(log.position.rate_hz, log.effort.rate_hz)",
+        ("tests/analysis/test_payload_checks.py", "tests/analysis/test_payload.py"),
+    ),
+)
+
+FIRST = (*FITS, *READERS, *WRITERS, *VERDICTS)

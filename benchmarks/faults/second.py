@@ -1,0 +1,187 @@
+"""Twenty more faults, chosen as the first were, in other files.
+
+From the source alone, before any test was looked at: six where values are fitted, five where logs
+are read, five where they are written, four where a verdict is passed.
+"""
+
+from __future__ import annotations
+
+from benchmarks.faults.fault import Fault
+
+FITS = (
+    Fault(
+        "the speed of an impact is twice what it is",
+        "analysis/refine/rebounds.py",
+        "unit_m_s = CALIBRATED.gravity_m_s2 * fall_s / 2",
+        "unit_m_s = CALIBRATED.gravity_m_s2 * fall_s",
+        ("tests/analysis/test_film_value.py",),
+    ),
+    Fault(
+        "torques that lag are compared with where the arm will be",
+        "analysis/refine/payload_terms.py",
+        "self._motion.at(self._motion.seconds - lag_s)",
+        "self._motion.at(self._motion.seconds + lag_s)",
+        ("tests/analysis/test_payload_fit.py",),
+    ),
+    Fault(
+        "torques in a gap of an arm's positions count",
+        "analysis/observe/arm_motion.py",
+        "return inside & (gaps[after - 1] < most)",
+        "return inside",
+        ("tests/analysis/test_arm_log.py", "tests/analysis/test_payload_fit.py"),
+    ),
+    Fault(
+        "where a part of a film is selected, a mark's time is not counted from there",
+        "analysis/observe/tracking/pictures.py",
+        "return x / self.scale, y / self.scale, at_s - before_s",
+        "return x / self.scale, y / self.scale, at_s",
+        ("tests/analysis/test_marking.py", "tests/analysis/test_tracking.py"),
+    ),
+    Fault(
+        "a line goes through the shortest beginning that it explains, not the longest",
+        "analysis/estimators/refined.py",
+        "np.flatnonzero((above <= values) & (values <= below))[-1]",
+        "np.flatnonzero((above <= values) & (values <= below))[0]",
+        ("tests/analysis/test_refined.py", "tests/analysis/test_filmed_targets.py"),
+    ),
+    Fault(
+        "links that are fixed to each other have the products of inertia with the wrong sign",
+        "recorders/simulators/arm/inertia.py",
+        "(away @ away * np.eye(3) - np.outer(away, away))",
+        "(away @ away * np.eye(3) + np.outer(away, away))",
+        ("tests/recorders/test_arm_description.py",),
+    ),
+)
+
+READERS = (
+    Fault(
+        "a WebP of the extended kind is taken for a pixel smaller than it is",
+        "tunenet_logs/images.py",
+        'return tuple(1 + int.from_bytes(body[at : at + 3], "little") for at in (4, 7))',
+        'return tuple(int.from_bytes(body[at : at + 3], "little") for at in (4, 7))',
+        ("tests/tunenet_logs/test_images.py",),
+    ),
+    Fault(
+        "behind damaged pictures of a video, all have stamps that are too early",
+        "tunenet_logs/formats/video.py",
+        "                stamp_ns = next(stamps, None)\n"
+        "                if stamp_ns is None:\n"
+        "                    return\n"
+        "                made_up = picture.is_corrupt or (made_up and not picture.key_frame)\n"
+        "                if made_up:  # the decoder fills a hole from the pictures before it\n"
+        "                    continue\n",
+        "                made_up = picture.is_corrupt or (made_up and not picture.key_frame)\n"
+        "                if made_up:  # the decoder fills a hole from the pictures before it\n"
+        "                    continue\n"
+        "                stamp_ns = next(stamps, None)\n"
+        "                if stamp_ns is None:\n"
+        "                    return\n",
+        ("tests/recorders/test_video_file.py",),
+    ),
+    Fault(
+        "a bag's file 10 is read before its file 2",
+        "tunenet_logs/formats/ros2_folder.py",
+        "return sorted(files, key=lambda one: (int(numbered[one][2]), one.name))",
+        "return sorted(files, key=lambda one: one.name)",
+        ("tests/tunenet_logs/test_ros2_folder.py",),
+    ),
+    Fault(
+        "a table's speeds in degrees a second are taken for radians",
+        "tunenet_logs/formats/tables/joint_names.py",
+        '("deg", "s"): (("velocity",), math.pi / 180),',
+        '("deg", "s"): (("velocity",), 1.0),',
+        ("tests/tunenet_logs/test_csv_table.py",),
+    ),
+    Fault(
+        "where the first header stamp is 0, none of them is believed",
+        "tunenet_logs/stamps.py",
+        "if np.count_nonzero(header_ns == 0) > 1:",
+        "if np.count_nonzero(header_ns == 0) > 0:",
+        ("tests/tunenet_logs/test_stamps.py", "tests/tunenet_logs/test_collect.py"),
+    ),
+)
+
+WRITERS = (
+    Fault(
+        "a network camera's picture is stamped when its last byte came",
+        "recorders/camera/multipart.py",
+        "            arrived_ns = self._arrived_ns\n"
+        "            yield Part(\n"
+        "                arrived_ns, self._until_delimiter() if length is None "
+        "else self._take(length)\n"
+        "            )\n",
+        "            data = self._until_delimiter() if length is None else self._take(length)\n"
+        "            yield Part(self._arrived_ns, data)\n",
+        ("tests/recorders/test_mjpeg_stream.py",),
+    ),
+    Fault(
+        "two pictures that came at once are recorded with one stamp",
+        "recorders/camera/capture.py",
+        "if last_ns is not None and stamp_ns <= last_ns:  # both in one read",
+        "if last_ns is not None and stamp_ns < last_ns:  # both in one read",
+        (
+            "tests/recorders/test_mjpeg_stream.py",
+            "tests/recorders/test_device.py",
+            "tests/recorders/test_camera_faults.py",
+        ),
+    ),
+    Fault(
+        "an import loses what the log's notes say",
+        "tunenet_logs/importing.py",
+        'notes = {**episode.info.notes, "imported_from": path.name}',
+        'notes = {"imported_from": path.name}',
+        ("tests/tunenet_logs/test_importing.py", "tests/tunenet_logs/test_ecosystem.py"),
+    ),
+    Fault(
+        "on a disk that knows no nameless files, a new outcome takes another's place",
+        "tunenet_logs/output/new_file.py",
+        "        if path.exists():\n"
+        "            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))\n",
+        "",
+        ("tests/tunenet_logs/test_outcome.py",),
+    ),
+    Fault(
+        "the next attempt is how many outcomes there are, and one",
+        "recorders/outcome_options.py",
+        "number = 1 + max((one.attempt for one in earlier), default=0)",
+        "number = 1 + len(earlier)",
+        ("tests/recorders/test_outcome_cli.py",),
+    ),
+)
+
+VERDICTS = (
+    Fault(
+        "an offset that is far too negative is taken for usual",
+        "analysis/refine/payload_checks.py",
+        "worst = max(fit.nuisances, key=lambda one: abs(one.value) / one.prior_sd)",
+        "worst = max(fit.nuisances, key=lambda one: one.value / one.prior_sd)",
+        ("tests/analysis/test_payload_checks.py",),
+    ),
+    Fault(
+        "results of a log with a dot in its name are called by what stands before the dot",
+        "analysis/batch.py",
+        'name.removesuffix(ACTIVE_SUFFIX).rsplit(".", 1)[0]',
+        'name.removesuffix(ACTIVE_SUFFIX).split(".", 1)[0]',
+        ("tests/analysis/test_batch.py",),
+    ),
+    Fault(
+        "shots from a doubtful drop are counted among those whose drop was rejected",
+        "analysis/campaign/attempts.py",
+        'return None if self.used is None else self.used.verdict != "rejected"',
+        'return None if self.used is None else self.used.verdict == "ok"',
+        ("tests/analysis/test_campaign.py", "tests/analysis/test_campaign_pairing.py"),
+    ),
+    Fault(
+        "what was found beside the value is given an interval where the value has none",
+        "analysis/report.py",
+        "ends = None if tuning.interval95 is None else one.interval95.tolist()",
+        "ends = one.interval95.tolist()",
+        (
+            "tests/analysis/test_report.py",
+            "tests/analysis/test_bounces.py",
+            "tests/analysis/test_payload.py",
+        ),
+    ),
+)
+
+SECOND = (*FITS, *READERS, *WRITERS, *VERDICTS)
