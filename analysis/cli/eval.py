@@ -45,6 +45,7 @@ Needs the libraries of the extra 'eval': pip install 'tunenet-logs[eval]'."""
 _EXAMPLES = """\
   tunenet-eval drop                                  (half an hour on two cores)
   tunenet-eval drop --seeds 1 --targets 20           (a few minutes)
+  tunenet-eval drop --seeds 10 --rollouts 5          (many seeds, few rollouts)
   tunenet-eval drop --methods mean,secant,tunenet-paper-code --seeds 1
   tunenet-eval drop --json drop.json --csv drop.csv --png drop.png --rrd drop.rrd
   tunenet-eval motion --json motion.json
@@ -55,12 +56,12 @@ _EXAMPLES = """\
 
 _METHODS_HELP = f"""\
 methods of the paper: {", ".join(METHODS[:6])}
-what a user would pick: {", ".join(METHODS[6:10])}
-ours: {", ".join(METHODS[10:12])}
-the ablation, which has no curve in the figure: {", ".join(METHODS[12:])}"""
+what a user would pick: {", ".join(METHODS[6:11])}
+ours: {", ".join(METHODS[11:13])}
+the ablation, which has no curve in the figure: {", ".join(METHODS[13:])}"""
 
 _FILES = ("json", "csv", "png", "rrd")
-_ONLY_DROP = ("methods", "png", "rrd")
+_ONLY_DROP = ("methods", "rollouts", "png", "rrd")
 _TARGETS = {"video": FULL_VIDEO, "payload": 300, "bounce-shot": FULL_SHOT}
 _SEEDS = {"payload": 5}
 _PAPER_SEEDS = 3
@@ -96,6 +97,13 @@ def build_parser() -> Parser:
     drop = parser.add_argument_group("drop only", _METHODS_HELP)
     drop.add_argument(
         "--methods", metavar="A,B,...", help="only these, and no intervals (default: all)"
+    )
+    drop.add_argument(
+        "--rollouts",
+        type=whole(1, 100),
+        metavar="N",
+        help="most that a method may spend on a target; columns beyond are left out (default: 100, "
+        "with limits of the calibrated simulator and of noise)",
     )
     drop.add_argument(
         "--png", type=Path, metavar="FILE", help="the figure: error against rollouts, as a picture"

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 METHODS = (
     *("mean", "entropy-search", "cma-es", "direct", "tunenet-paper", "tunenet-paper-code"),
-    *("secant", "brent", "least-squares", "tpe"),
+    *("secant", "brent", "least-squares", "tpe", "npe"),
     *("network", "ours"),
     *("concatenation", "difference", "antisymmetric"),
 )
@@ -63,7 +63,10 @@ def _drop(
             raise UsageError(f"--{name}: no method chosen has a curve to draw; leave it out")
     if arguments.png is not None:
         needed("matplotlib")
-    order = DropOrder(seeds, arguments.targets, methods, arguments.jobs, _effort(arguments))
+    order = DropOrder(
+        *(seeds, arguments.targets, methods, arguments.jobs, _effort(arguments)),
+        rollouts=arguments.rollouts,
+    )
     results = run_drop(order, progress)
 
     def write_rrd(path: Path) -> None:

@@ -32,6 +32,7 @@ _COLORS: dict[str, Color] = {
     "brent": (120, 170, 30),
     "least-squares": (188, 160, 34),
     "tpe": (255, 150, 40),
+    "npe": (140, 0, 120),
 }
 _OURS: Sequence[Color] = ((220, 40, 40), (240, 110, 90))
 
@@ -71,17 +72,19 @@ def error_curves(results: DropResults, panel: str) -> list[ErrorCurve]:
     outcomes = results.of(Cell("drop", "paper", panel, 0.0))
     colors = _colors(outcomes)
     most = max((one.allowed for one in outcomes), default=0)
-    curves = [_curve(one, max(most, 1), colors[one.method]) for one in outcomes]
+    published = tuple(n for n in ROLLOUTS if n <= (results.rollouts or _MOST))
+    curves = [_curve(one, max(most, 1), colors[one.method], published) for one in outcomes]
     last = {curve.paper: curve.method for curve in curves}
     return [
         curve if last[curve.paper] == curve.method else replace(curve, paper=()) for curve in curves
     ]
 
 
-def _curve(one: Outcome, most: int, color: Color) -> ErrorCurve:
+def _curve(one: Outcome, most: int, color: Color, places: tuple[int, ...]) -> ErrorCurve:
+    """`places` are the budgets whose published points are shown."""
     reach = [n for n in range(min(most, _MOST) + 1) if one.knows(n)]
     means = np.column_stack([one.errors_after(n).mean(axis=1) for n in reach])
-    published = [(n, published_error(one.cell.which, one.method, n)) for n in ROLLOUTS]
+    published = [(n, published_error(one.cell.which, one.method, n)) for n in places]
     return ErrorCurve(
         one.method,
         one.label,

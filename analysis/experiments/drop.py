@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from analysis.experiments.drop_methods import Method
 from analysis.experiments.drop_networks import Effort, train_networks
-from analysis.experiments.drop_roster import Table, roster
+from analysis.experiments.drop_posteriors import Posteriors, credible_coverage, train_posteriors
+from analysis.experiments.drop_roster import NPE, Table, roster
 from analysis.experiments.drop_targets import TARGET_SETS, DropTarget, TargetSet, draw_targets
 from analysis.experiments.intervals import Coverage, interval_coverages
 from analysis.experiments.results import Cell, DropResults, Group, Outcome
@@ -44,6 +45,7 @@ class DropOrder:
         methods: names of those that compete; None for all.
         jobs: processes; None for all cores.
         effort: of training, in place of the presets'.
+        rollouts: most that any method may spend; None for the cells' own limits.
     """
 
     seeds: tuple[int, ...]
@@ -51,6 +53,7 @@ class DropOrder:
     methods: tuple[str, ...] | None = None
     jobs: int | None = None
     effort: Effort | None = None
+    rollouts: int | None = None
 
 
 @dataclass(frozen=True)
@@ -71,9 +74,12 @@ class _Round:
         """The seed's targets."""
         return draw_targets(self.which, count, seed, self.cell.noise_m)
 
-    def shares(self, method: Method, targets: Sequence[DropTarget]) -> list[Share]:
-        """A method's work on them, in pieces."""
+    def shares(
+        self, method: Method, targets: Sequence[DropTarget], rollouts: int | None
+    ) -> list[Share]:
+        """A method's work on them, in pieces; `rollouts` as in `DropOrder`."""
         most = min(method.budget, self.most[method.group])
+        most = most if rollouts is None else min(most, rollouts)
         return [
             Share(method, tuple(targets[at : at + _CHUNK]), self.contact, most)
             for at in range(0, len(targets), _CHUNK)
@@ -93,25 +99,37 @@ def run_drop(order: DropOrder, progress: Progress) -> DropResults:
         seed: train_networks(chosen.networks, seed, order.jobs, progress, order.effort)
         for seed in order.seeds
     }
+    posteriors: Posteriors = {}
+    if chosen.has_posteriors:
+        noises_m = (0.0, NOISE_M)
+        posteriors = train_posteriors(order.seeds, noises_m, order.jobs, progress, order.effort)
     shares: list[Share] = []
     columns: list[tuple[_Round, Method, slice]] = []
     for one in _rounds():
         drawn = {seed: one.drawn(order.targets, seed) for seed in order.seeds}
         methods = [
-            chosen.methods(one.table, networks[seed], _truths(drawn[seed]), seed)
+            chosen.methods(
+                *(one.table, networks[seed], _truths(drawn[seed]), seed),
+                posteriors.get((seed, one.cell.noise_m)),
+            )
             for seed in order.seeds
         ]
         for column in zip(*methods, strict=True):  # one method, made anew for each seed
             start = len(shares)
             for method, targets in zip(column, drawn.values(), strict=True):
-                shares += one.shares(method, targets)
+                shares += one.shares(method, targets, order.rollouts)
             columns.append((one, column[0], slice(start, len(shares))))
     done = work_all(shares, order.jobs, progress)
     outcomes = [_outcome(one, method, done[place], order) for one, method, place in columns]
+    with_posteriors = [
+        (one.cell, shares[place]) for one, method, place in columns if method.name == NPE
+    ]
+    credible = credible_coverage(with_posteriors, order.jobs, progress)
     coverage: tuple[Coverage, ...] = ()
     if order.methods is None:
         coverage = interval_coverages(order.seeds, order.targets, order.jobs, progress)
-    return DropResults(order.seeds, order.targets, tuple(outcomes), coverage)
+    told = tuple(outcomes), coverage, credible
+    return DropResults(order.seeds, order.targets, *told, order.rollouts)
 
 
 def _outcome(one: _Round, method: Method, parts: Sequence[Array], order: DropOrder) -> Outcome:

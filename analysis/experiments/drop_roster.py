@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.estimators.neural_posterior import NeuralPosterior, Posterior
 from analysis.estimators.refined import RefinedTuneNet
 from analysis.estimators.tunenet import TuneNet
 from analysis.experiments import drop_networks as nets
@@ -21,6 +22,10 @@ from tunenet_logs.errors import UsageError
 Array = NDArray[np.float64]
 Table = Literal["paper", "calibrated", "ablation"]
 """On the paper's simulator; on the calibrated one; what the parts of the network are worth."""
+
+
+NPE = "npe"
+"""The method that has a posterior, see `train_posteriors`; only on the paper's simulator."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +49,7 @@ _USERS = {
     "brent": _Needs(),
     "least-squares": _Needs(),
     "tpe": _Needs(libraries=("optuna",)),
+    NPE: _Needs(libraries=("sbi",)),
 }
 _OURS = {
     "network": _Needs((nets.OURS, nets.OURS_CALIBRATED)),
@@ -84,7 +90,19 @@ class Roster:
         """Whether the figure has anything to show: the ablation is a table only."""
         return not _ABLATION.keys() >= set(self.names)
 
-    def methods(self, table: Table, networks: Networks, truths: Array, seed: int) -> list[Method]:
+    @property
+    def has_posteriors(self) -> bool:
+        """Whether neural posteriors are to be trained for them."""
+        return NPE in self.names
+
+    def methods(
+        self,
+        table: Table,
+        networks: Networks,
+        truths: Array,
+        seed: int,
+        posterior: Posterior | None = None,
+    ) -> list[Method]:
         """Those of one table, ready.
 
         Args:
@@ -93,9 +111,10 @@ class Roster:
             truths: true restitutions of the cell's targets. Only two of the paper's baselines look
                 at them, as its authors' do: the mean, and the range that entropy search covers.
             seed: of the methods that draw.
+            posterior: for the noise of the cell's targets, trained; None where it is not wanted.
         """
         everyone = {
-            "paper": lambda: _competitors(networks, truths, seed),
+            "paper": lambda: _competitors(networks, truths, seed, posterior),
             "calibrated": lambda: _on_calibrated(networks, seed),
             "ablation": lambda: _ablation(networks),
         }[table]()
@@ -118,19 +137,29 @@ def roster(names: Iterable[str] | None) -> Roster:
     return Roster(tuple(chosen), networks)
 
 
-def _competitors(networks: Networks, truths: Array, seed: int) -> list[Method]:
+def _competitors(
+    networks: Networks, truths: Array, seed: int, posterior: Posterior | None
+) -> list[Method]:
     from analysis.experiments.drop_methods import paper_methods, user_methods
 
     trained: dict[str, Any] = {name: networks.get(name) for name in nets.NETWORKS}
     bins = (float(truths.min()), float(truths.max()))
     papers = paper_methods(trained, float(truths.mean()), bins, seed)
-    return [*papers, *user_methods(seed), *_ours(networks.get(nets.OURS))]
+    users = [*user_methods(seed), *_neural(posterior)]
+    return [*papers, *users, *_ours(networks.get(nets.OURS))]
 
 
 def _on_calibrated(networks: Networks, seed: int) -> list[Method]:
     from analysis.experiments.drop_methods import user_methods
 
     return [*user_methods(seed), *_ours(networks.get(nets.OURS_CALIBRATED))]
+
+
+def _neural(posterior: Posterior | None) -> list[Method]:
+    """A library's posterior, of whoever has no network of ours; none where it was not chosen."""
+    if posterior is None:
+        return []
+    return [Method(NPE, "Neural posterior (sbi)", "user", NeuralPosterior(posterior), 0)]
 
 
 def _ours(network: Model | None) -> list[Method]:

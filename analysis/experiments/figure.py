@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 _ROOM = 1.3
 _TICKS = (0, 1, 2, 5, 10, 20, 40, 100)
+_MOST = 100
 
 
 def write_figure(results: DropResults, path: Path) -> None:
@@ -46,7 +47,7 @@ def draw_figure(results: DropResults) -> Figure:
     for axis, panel in zip(axes, panels, strict=True):
         for curve in error_curves(results, panel):
             handles[curve.label] = _draw(axis, curve)
-        _dress(axis, panel)
+        _dress(axis, panel, results.rollouts or _MOST)
     axes[0].set_ylim(*_limits([one for panel in panels for one in error_curves(results, panel)]))
     axes[0].set_ylabel(f"mean absolute error of the restitution (drawn from {FLOOR:g} up)")
     handles["the paper's"] = axes[0].plot([], [], "D", color="0.3", ms=5, mew=0)[0]
@@ -72,12 +73,14 @@ def _draw(axis: Any, curve: ErrorCurve) -> Any:
     )[0]
 
 
-def _dress(axis: Any, panel: str) -> None:
+def _dress(axis: Any, panel: str, most: int) -> None:
+    """Axes up to so many rollouts."""
+    ticks = [tick for tick in _TICKS if tick <= most]
     axis.set_title(f"GT {panel}")
     axis.set_xlabel("rollouts")
     axis.set_yscale("log")
     axis.set_xscale("symlog", linthresh=2)
-    axis.set_xlim(0, 105)
-    axis.set_xticks(_TICKS, [str(tick) for tick in _TICKS])
+    axis.set_xlim(0, 1.05 * most)
+    axis.set_xticks(ticks, [str(tick) for tick in ticks])
     axis.set_xticks([], minor=True)
     axis.grid(alpha=0.25)

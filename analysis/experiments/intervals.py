@@ -112,10 +112,10 @@ def coverage_of(label: str, rows: Array) -> Coverage:
         targets=len(rows),
         fitted=len(fitted),
         covered=_mean(covered),
-        covered_se=_standard_error(covered),
+        covered_se=share_error(covered),
         ok=float(is_ok.sum() / len(rows)),
         ok_covered=_mean(covered[is_ok]),
-        ok_covered_se=_standard_error(covered[is_ok]),
+        ok_covered_se=share_error(covered[is_ok]),
         width=float(np.median(high - low)) if len(fitted) else None,
         mae=_mean(np.abs(value - truth)),
         network_mae=_mean(np.abs(network - truth)),
@@ -126,8 +126,8 @@ def _mean(values: NDArray[Any]) -> float | None:
     return float(values.mean()) if len(values) else None
 
 
-def _standard_error(held: NDArray[np.bool_]) -> float | None:
-    """Of a share, by Agresti and Coull (1998): not 0 where all hold."""
+def share_error(held: NDArray[np.bool_]) -> float | None:
+    """Standard error of a share, by Agresti and Coull (1998): not 0 where all hold."""
     if not len(held):
         return None
     share = (held.sum() + 2) / (len(held) + 4)

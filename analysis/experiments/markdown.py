@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from analysis.experiments.results import ROLLOUTS, TOLD_NOTE, DropResults, Outcome
+from analysis.experiments.results import TOLD_NOTE, DropResults, Outcome
 from analysis.experiments.tables import short, title
 
 
@@ -18,13 +18,15 @@ def drop_markdown(results: DropResults) -> str:
     )
     if any(one.is_told for one in results.outcomes):
         head += f"\n\n\\{TOLD_NOTE}"
-    tables = [f"## {title(cell)}\n\n{_table(results.of(cell))}" for cell in results.cells]
+    tables = [f"## {title(cell)}\n\n{_table(results, results.of(cell))}" for cell in results.cells]
     return "\n\n".join([head, *tables])
 
 
-def _table(outcomes: Sequence[Outcome]) -> str:
-    shown = [n for n in ROLLOUTS if any(one.knows(n) and one.budget >= n for one in outcomes)]
-    shown = shown or [ROLLOUTS[0]]
+def _table(results: DropResults, outcomes: Sequence[Outcome]) -> str:
+    shown = [
+        n for n in results.columns if any(one.knows(n) and one.budget >= n for one in outcomes)
+    ]
+    shown = shown or list(results.columns[:1])
     lines = ["| method | " + " | ".join(f"K = {n}" for n in shown) + " |"]
     lines.append("| --- |" + " ---: |" * len(shown))
     for one in outcomes:

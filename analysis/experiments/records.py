@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from analysis.experiments.intervals import Coverage
-from analysis.experiments.results import ROLLOUTS, DropResults, Outcome
+from analysis.experiments.results import Cell, DropResults, Outcome
 
 if TYPE_CHECKING:
     from analysis.experiments.motion_rows import MotionRow
@@ -47,7 +47,7 @@ def drop_rows(results: DropResults) -> list[dict[str, Any]]:
     """One record for each cell, method, count of rollouts and seed; see `COLUMNS`."""
     rows: list[dict[str, Any]] = []
     for one in results.outcomes:
-        for n in filter(one.knows, ROLLOUTS):
+        for n in filter(one.knows, results.columns):
             paper = one.figures(n).paper
             for seed, errors in zip(results.seeds, one.errors_after(n), strict=True):
                 figures = {"mae": float(errors.mean()), "median": float(np.median(errors))}
@@ -60,7 +60,7 @@ def drop_json(results: DropResults) -> str:
     summary = []
     curves = []
     for one in results.outcomes:
-        for n in filter(one.knows, ROLLOUTS):
+        for n in filter(one.knows, results.columns):
             figures = one.figures(n)
             summary.append(
                 {
@@ -79,8 +79,10 @@ def drop_json(results: DropResults) -> str:
             "experiment": "drop",
             "seeds": list(results.seeds),
             "targets": results.targets,
+            **({} if results.rollouts is None else {"most_rollouts": results.rollouts}),
             "summary": summary,
             **_intervals(results.coverage),
+            **_credible(results),
             "rows": drop_rows(results),
             "curves": curves,
         }
@@ -146,14 +148,25 @@ def _intervals(rows: Sequence[Coverage]) -> dict[str, Any]:
     return {"intervals": [asdict(one) for one in rows]} if rows else {}
 
 
+def _credible(results: DropResults) -> dict[str, Any]:
+    """Left out where no method has a posterior."""
+    rows = []
+    for one in results.credible:
+        figures = {key: value for key, value in asdict(one).items() if key != "cell"}
+        rows.append({**_place(one.cell), **figures})
+    return {"credible": rows} if rows else {}
+
+
 def _keys(one: Outcome, rollouts: int) -> dict[str, Any]:
+    return {**_place(one.cell), "method": one.method, "rollouts": rollouts}
+
+
+def _place(cell: Cell) -> dict[str, Any]:
     return {
-        "experiment": one.cell.experiment,
-        "simulator": one.cell.simulator,
-        "set": one.cell.which,
-        "noise_m": one.cell.noise_m,
-        "method": one.method,
-        "rollouts": rollouts,
+        "experiment": cell.experiment,
+        "simulator": cell.simulator,
+        "set": cell.which,
+        "noise_m": cell.noise_m,
     }
 
 

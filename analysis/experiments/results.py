@@ -116,6 +116,26 @@ class Outcome:
         return Figures(float(means.mean()), float(np.median(errors)), lowest, highest, paper)
 
 
+@dataclass(frozen=True)
+class Credible:
+    """How often the 95 % credible intervals of a posterior hold the truth in a cell.
+
+    Attributes:
+        method: name of the one that has a posterior.
+        targets: of all seeds.
+        held: share of them whose interval holds the truth.
+        held_se: its standard error.
+        width: median of the intervals' widths.
+    """
+
+    cell: Cell
+    method: str
+    targets: int
+    held: float
+    held_se: float
+    width: float
+
+
 @dataclass(frozen=True, eq=False)
 class DropResults:
     """The second experiment, done.
@@ -124,12 +144,21 @@ class DropResults:
         seeds: of training and of the targets.
         targets: test cases for each seed and cell.
         coverage: of the intervals of recorded drops; empty where it was not asked for.
+        credible: of the intervals of neural posteriors; empty where there was none.
+        rollouts: most that any method was allowed; None where the cells' own limits held.
     """
 
     seeds: tuple[int, ...]
     targets: int
     outcomes: tuple[Outcome, ...]
     coverage: tuple[Coverage, ...] = ()
+    credible: tuple[Credible, ...] = ()
+    rollouts: int | None = None
+
+    @property
+    def columns(self) -> tuple[int, ...]:
+        """Budgets of `ROLLOUTS` that were run."""
+        return tuple(n for n in ROLLOUTS if self.rollouts is None or n <= self.rollouts)
 
     @property
     def cells(self) -> tuple[Cell, ...]:

@@ -39,7 +39,7 @@ class Share:
 
 def errors_of(share: Share) -> Array:
     """Absolute errors of the answers after 0, 1, ... rollouts, shape (targets, 1 + rollouts)."""
-    problems = _problems(share.contact)
+    problems = problems_in(share.contact)
     method = share.method
     errors = np.empty((len(share.targets), share.rollouts + 1))
     for row, target in zip(errors, share.targets, strict=True):
@@ -51,8 +51,8 @@ def errors_of(share: Share) -> Array:
 
 
 @cache
-def _problems(contact: ContactSettings) -> DropProblems:
-    """One world a process."""
+def problems_in(contact: ContactSettings) -> DropProblems:
+    """Poses the test cases of a simulator; one world a process."""
     return DropProblems(contact)
 
 

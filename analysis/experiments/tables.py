@@ -6,9 +6,9 @@ from collections.abc import Iterable, Sequence
 
 from analysis.experiments.intervals import NOISE_M, RESTITUTION, Coverage
 from analysis.experiments.published import ROLLOUTS as PUBLISHED_ROLLOUTS
-from analysis.experiments.results import ROLLOUTS, TOLD_NOTE, Cell, DropResults, Outcome
+from analysis.experiments.results import TOLD_NOTE, Cell, Credible, DropResults, Outcome
 
-_SPREAD = "median [lowest–highest]"
+_SPREAD = "median [best–worst seed]"
 _SPREADS_A_LINE = 3
 _AHEAD_AT = (5, 10)
 _OURS = "ours"
@@ -16,17 +16,20 @@ _OURS = "ours"
 
 _NOTHING = 1e-9
 _COVERAGE_WIDTHS = (36, 8, 10, 15, 9, 15, 6)
+_CREDIBLE_WIDTHS = (71, 8, 15, 6)
 
 
 def drop_tables(results: DropResults) -> str:
     """Every cell, who is ahead, and the ablation."""
     blocks = [_protocol(results)]
     compared = [cell for cell in results.cells if cell.experiment == "drop"]
-    blocks += [_cell_table(cell, results.of(cell)) for cell in compared]
+    blocks += [_cell_table(cell, results) for cell in compared]
     if compared:
         blocks.append(_ahead(results, compared))
     ablation = [cell for cell in results.cells if cell.experiment == "ablation"]
-    blocks += [_cell_table(cell, results.of(cell)) for cell in ablation]
+    blocks += [_cell_table(cell, results) for cell in ablation]
+    if results.credible:
+        blocks.append(credible_table(results.credible))
     if results.coverage:
         blocks.append(coverage_table(results.coverage))
     return "\n\n".join(filter(None, blocks))
@@ -55,16 +58,18 @@ def _protocol(results: DropResults) -> str:
     told = f"\n{TOLD_NOTE}" if any(one.is_told for one in results.outcomes) else ""
     return (
         f"Mean absolute error of the restitution after K rollouts; {seeds}, {results.targets} "
-        "targets each.\nIn brackets: the paper's. [lowest–highest]: of the seeds' means. "
-        "A dash: not run that far." + told
+        "targets each.\nIn brackets: the paper's. [best–worst seed]: lowest and highest of the "
+        "seeds' means.\nA dash: not run that far." + told
     )
 
 
-def _cell_table(cell: Cell, outcomes: Sequence[Outcome]) -> str:
+def _cell_table(cell: Cell, results: DropResults) -> str:
     """Means, the paper's beside them, and below the medians and the spread over the seeds."""
+    outcomes = results.of(cell)
     compared = any(one.figures(1).paper for one in outcomes if one.knows(1))
-    shown = [n for n in ROLLOUTS if any(one.knows(n) and one.budget >= n for one in outcomes)]
-    shown = shown or [ROLLOUTS[0]]
+    columns = results.columns
+    shown = [n for n in columns if any(one.knows(n) and one.budget >= n for one in outcomes)]
+    shown = shown or list(columns[:1])
     label = 1 + max(len(_SPREAD), *(len(one.shown) for one in outcomes))
     widths = [label, *(16 if compared and n in PUBLISHED_ROLLOUTS else 8 for n in shown)]
     rows = [["mean error", *(f"K={n}" for n in shown)]]
@@ -119,6 +124,16 @@ def coverage_table(rows: Sequence[Coverage]) -> str:
     return "\n".join(lines)
 
 
+def credible_table(rows: Sequence[Credible]) -> str:
+    """How often a posterior's intervals hold the truth, on the targets of the tables above."""
+    head = ["95 % credible intervals of the neural posterior", "targets", "held", "width"]
+    lines = [head]
+    for row in rows:
+        held = _share(row.held, row.held_se)
+        lines.append([title(row.cell), str(row.targets), held, short(row.width)])
+    return "\n".join(_line(line, _CREDIBLE_WIDTHS) for line in lines)
+
+
 def _share(share: float | None, error: float | None) -> str:
     """With its standard error."""
     if share is None or error is None:
@@ -127,18 +142,23 @@ def _share(share: float | None, error: float | None) -> str:
 
 
 def _ahead(results: DropResults, cells: Iterable[Cell]) -> str:
-    """Which method is best in each cell, and how ours at 5 rollouts compares with all others."""
+    """Which method is best in each cell, and how ours at 5 rollouts compares with all others.
+
+    Behind each mean stands the worst seed's.
+    """
+    places = [n for n in _AHEAD_AT if n in results.columns]
     lines = []
     for cell in cells:
         ranked = [one for one in results.of(cell) if _is_ranked(one)]
-        if not ranked:
+        if not ranked or not places:
             continue
         lines.append(f"  {title(cell)}")
-        for n in _AHEAD_AT:
+        for n in places:
             best = _best(ranked, n)
             if best is not None:
-                lines.append(f"    at {n:>2}: {best.label}, {short(best.figures(n).mae)}")
-        lines += _ours_against_others(ranked)
+                mean = short(best.figures(n).mae)
+                lines.append(f"    at {n:>2}: {best.label}, {mean}{_worst(best, n, results)}")
+        lines += _ours_against_others(ranked, places)
     return "\n".join(["Who is ahead", *lines]) if lines else ""
 
 
@@ -147,14 +167,23 @@ def _is_ranked(one: Outcome) -> bool:
     return not one.is_told and (one.group != "ours" or one.method == _OURS)
 
 
-def _ours_against_others(ranked: Sequence[Outcome]) -> list[str]:
-    at = _AHEAD_AT[0]
+def _worst(one: Outcome, rollouts: int, results: DropResults) -> str:
+    """The worst of several seeds: its number and its mean error."""
+    if len(results.seeds) == 1:
+        return ""
+    means = one.errors_after(rollouts).mean(axis=1)
+    worst = int(means.argmax())
+    return f" (worst: seed {results.seeds[worst]}, {short(float(means[worst]))})"
+
+
+def _ours_against_others(ranked: Sequence[Outcome], places: Sequence[int]) -> list[str]:
+    at = places[0]
     ours = _best([one for one in ranked if one.method == _OURS], at)
     if ours is None:
         return []
     mine = ours.figures(at).mae
     lines = []
-    for n in _AHEAD_AT:
+    for n in places:
         best = _best([one for one in ranked if one.method != _OURS], n)
         if best is not None:
             theirs = best.figures(n).mae

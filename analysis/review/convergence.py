@@ -22,8 +22,8 @@ from analysis.review.sending import entity_of
 ROLLOUTS = "rollouts"
 """Its timeline: what a method has been allowed so far."""
 
-_LEGEND_ENDS = 150
-"""The curves end at 100; the legend stands beside them."""
+_LEGEND_ROOM = 1.5
+"""The axis is this many times as long as the curves; the legend stands beside them."""
 
 
 def write_convergence(results: DropResults, path: Path) -> None:
@@ -87,7 +87,9 @@ def _send(
 def _view(panel: str, curves: list[ErrorCurve]) -> rrb.View:
     lowest = min(float(curve.mean.min()) for curve in curves)
     reach = (float(np.log10(lowest)) - 0.3, 0.0)
-    start, end = (rr.TimeRangeBoundary.absolute(seq=at) for at in (0, _LEGEND_ENDS))
+    longest = max(len(curve.mean) - 1 for curve in curves)
+    ends = (0, round(_LEGEND_ROOM * longest))
+    start, end = (rr.TimeRangeBoundary.absolute(seq=at) for at in ends)
     return rrb.TimeSeriesView(
         origin=entity_of("error", panel),
         name=f"GT {panel}: log10 of the mean absolute error, by rollouts",
