@@ -1,14 +1,18 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`.
+# `make test-all` adds long statistics, the evaluation's own tests and long fuzzing.
 # PIP_ARGS reaches pip, e.g. to take PyTorch's CPU build from its own index (see README).
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 PIP_ARGS ?=
 BIN := .venv/bin
+PYTEST := $(BIN)/pytest -n auto --dist loadfile --no-loadscope-reorder
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
+# or every test worker and every command that a test starts would compile all again
+unexport PYTHONDONTWRITEBYTECODE
 SAMPLES := $(filter-out sample_logs/payload%,$(wildcard sample_logs/*.mcap))
 
-.PHONY: demo test check format bench samples clean
+.PHONY: demo test test-all check format bench samples clean
 
 demo: .venv/installed
 	@mkdir -p demo
@@ -19,8 +23,10 @@ demo: .venv/installed
 	@echo "look at them: $(BIN)/rerun demo/drop.rrd"
 
 test: check
-	$(BIN)/pytest -n auto --dist loadfile --no-loadscope-reorder -m "not live"
-	$(BIN)/pytest -m live
+	$(PYTEST) -m "not slow"
+
+test-all: check
+	$(PYTEST) --hypothesis-profile=thorough
 
 check: .venv/developing
 	$(BIN)/ruff check .

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import fcntl
+import io
+import os
 import resource
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import chdir, contextmanager, redirect_stderr, redirect_stdout
+from importlib import import_module
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from recorders.filmed_drop import FilmOrder, film_drop
 from recorders.session import record_episode
@@ -20,17 +26,74 @@ ROOT = Path(__file__).resolve().parents[1]
 BIN = Path(sys.executable).parent
 
 Command = Callable[..., subprocess.CompletedProcess[str]]
+Made = Callable[[str, Callable[[Path], object]], Path]
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as a shell's `&` has it for all it starts
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+settings.register_profile("suite", max_examples=50, deadline=None, derandomize=True)
+settings.register_profile("thorough", max_examples=500, deadline=None)
+settings.load_profile("suite")
+
+_MODULES = {
+    "tunenet-logs": "tunenet_logs.cli",
+    "tunenet-record": "recorders.cli",
+    "tunenet-tune": "analysis.cli.tune",
+    "tunenet-review": "analysis.cli.review",
+    "tunenet-train": "analysis.cli.train",
+    "tunenet-plan": "analysis.cli.plan",
+    "tunenet-eval": "analysis.cli.eval",
+}
 
 
 @pytest.fixture(scope="session")
 def command() -> Command:
-    """Run a console script in a process of its own."""
+    """Call a command's `main` in this process: same words, exit code and output, no start-up."""
+
+    def call(name: str, *arguments: object, cwd: Path | None = None):
+        words = [str(one) for one in arguments]
+        out, err = io.StringIO(), io.StringIO()
+        with chdir(cwd or Path.cwd()), redirect_stdout(out), redirect_stderr(err):
+            try:
+                code = import_module(_MODULES[name]).main(words)
+            except SystemExit as stop:  # --help and --version
+                code = int(stop.code or 0)
+        return subprocess.CompletedProcess([name, *words], code, out.getvalue(), err.getvalue())
+
+    return call
+
+
+@pytest.fixture(scope="session")
+def process() -> Command:
+    """Run a console script as a user does, in a process of its own."""
 
     def run(name: str, *arguments: object, cwd: Path | None = None):
         words = [str(BIN / name), *(str(one) for one in arguments)]
         return subprocess.run(words, cwd=cwd, capture_output=True, text=True, timeout=300)
 
     return run
+
+
+@pytest.fixture(scope="session")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
+    """Make a file that is dear once, for all tests of all workers; nobody may change it."""
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent
+    folder = folder / "made"
+
+    def make(name: str, write: Callable[[Path], object]) -> Path:
+        folder.mkdir(exist_ok=True)
+        with (folder / f"{name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            path = folder / name
+            if not path.exists():
+                (folder / "unfinished").mkdir(exist_ok=True)
+                write(folder / "unfinished" / name)
+                (folder / "unfinished" / name).rename(path)
+        return path
+
+    return make
 
 
 def record(path: Path, **order: object) -> Path:
@@ -69,10 +132,10 @@ def files_no_larger_than(limit: int) -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
-def filmed_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A filmed drop of ours: restitution 0.7 from 1 m, 60 Hz, 3 s."""
-    path = tmp_path_factory.mktemp("film") / "filmed.mcap"
-    return film(path, restitution=0.7, height_m=1.0, seconds=3.0, hold_s=0.3, seed=5)
+def filmed_log(made: Made) -> Path:
+    """A filmed drop of ours: restitution 0.7 from 1 m, 60 Hz, 3 s. Not to be changed."""
+    order = {"restitution": 0.7, "height_m": 1.0, "seconds": 3.0, "hold_s": 0.3, "seed": 5}
+    return made("filmed.mcap", lambda path: film(path, **order))
 
 
 @pytest.fixture

@@ -50,6 +50,6 @@ def test_commands_of_the_wheel_work_where_the_user_has_an_analysis_folder(
     assert (tmp_path / "a.rrd").exists()
     assert "/ball/pose" in run("tunenet-logs", "info", "a.mcap")
     run("tunenet-record", "--outcome", "success", "--ball", "gel", "--tuning", "a.json")
-    assert "1/1 = 100 %" in run("tunenet-review", ".", "-o", "all.rrd")
+    assert "1/1 = 100 %" in run("tunenet-review", ".", "-o", "all.rrd", "--jobs", "1")
     run("tunenet-record", "--simulate", "payload", "--mass", "0.5", "-o", "c.mcap")
     assert "/joint_states" in run("tunenet-logs", "info", "c.mcap")

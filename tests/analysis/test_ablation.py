@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import torch
 
 from analysis.tunenet.ablation import Antisymmetrised, DifferenceNetwork
 from analysis.tunenet.network import Network, PaperNetwork, initial_weights
@@ -19,8 +18,11 @@ def drawn(network: Network, seed: int = 0):
     return weights, rng.normal(size=(5, INPUTS)), rng.normal(size=(5, INPUTS))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("network", NETWORKS, ids=lambda one: one.kind)
 def test_numpy_and_torch_agree(network: Network):
+    import torch
+
     weights, proposed, target = drawn(network)
     tensors = {name: torch.from_numpy(value) for name, value in weights.items()}
     found = network.residual(tensors, torch.from_numpy(proposed), torch.from_numpy(target))

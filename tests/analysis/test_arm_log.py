@@ -183,19 +183,19 @@ def test_an_arm_that_rests_still_has_positions():
     assert float(np.diff(log.position.seconds).max()) < 0.2
 
 
-def test_a_driver_that_was_stuck_leaves_a_hole():
+@pytest.mark.parametrize("fields", [("position", "effort"), ("position",)])
+def test_a_driver_that_was_stuck_leaves_a_hole(fields):
     def stuck(values):
         values[100:160] = values[100]
         return values
 
-    stuck_log = changed(
-        circle_log(Payload(0.5)), position=with_values(stuck), effort=with_values(stuck)
-    )
+    stuck_log = changed(circle_log(Payload(0.5)), **dict.fromkeys(fields, with_values(stuck)))
     log = read_arm_log(stuck_log, ARM)
     assert float(np.diff(log.position.seconds).max()) > 0.9
     motion = arm_motion(log)
     inside = (motion.seconds > 100 / 60 + 0.1) & (motion.seconds < 160 / 60 - 0.1)
     assert not inside.any()
+    assert len(motion.seconds) > 200
 
 
 @pytest.mark.parametrize(

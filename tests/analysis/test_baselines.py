@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -47,6 +47,13 @@ def methods(seed: int = 0) -> dict[str, Method]:
 
 NAMES = list(methods())
 SEARCHES = ["entropy-search", "cma-es", "secant", "brent", "least-squares", "tpe"]
+DEAR = ("entropy-search", "cma-es", "tpe")
+
+
+def each(names: Iterable[str]) -> pytest.MarkDecorator:
+    """A test for each method; those that take long, or whose libraries load for long, are slow."""
+    slow = {name: pytest.mark.slow if name in DEAR else () for name in names}
+    return pytest.mark.parametrize("name", [pytest.param(one, marks=slow[one]) for one in slow])
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +91,7 @@ def check_laws(trace: Trace, problem: Problem, budget: int) -> None:
 
 
 @pytest.mark.parametrize("budget", [0, 1, 13])
-@pytest.mark.parametrize("name", NAMES)
+@each(NAMES)
 def test_no_method_spends_more_than_it_has(solve: Solve, name: str, budget: int):
     trace, problem = solve(name, budget)
     check_laws(trace, problem, budget)
@@ -95,7 +102,7 @@ def test_no_method_spends_more_than_it_has(solve: Solve, name: str, budget: int)
         assert first == CASE.initial
 
 
-@pytest.mark.parametrize("name", SEARCHES)
+@each(SEARCHES)
 @pytest.mark.parametrize("initial", [0.0, 1.0])
 def test_the_first_guess_may_be_at_a_bound(solve: Solve, name: str, initial: float):
     trace, problem = solve(name, 12, replace(CASE, initial=initial))
@@ -103,19 +110,19 @@ def test_the_first_guess_may_be_at_a_bound(solve: Solve, name: str, initial: flo
     assert problem.rollouts > 0
 
 
-@pytest.mark.parametrize("name", SEARCHES)
+@each(SEARCHES)
 def test_a_target_that_never_bounces_breaks_nothing(solve: Solve, name: str):
     for initial in (0.0, 0.5):
         trace, problem = solve(name, 12, replace(DEAD, initial=initial))
         check_laws(trace, problem, 12)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@each(NAMES)
 def test_the_same_seed_says_the_same(solve: Solve, name: str):
     assert told(solve(name, 13)[0]) == told(solve(name, 13)[0])
 
 
-@pytest.mark.parametrize("name", ["entropy-search", "cma-es", "tpe"])
+@each(["entropy-search", "cma-es", "tpe"])
 def test_another_seed_says_something_else(solve: Solve, name: str):
     assert told(solve(name, 20)[0]) != told(solve(name, 20, seed=1)[0])
 
@@ -132,7 +139,7 @@ class Silent:
         return replace(episode, info=replace(episode.info, truth={}))
 
 
-@pytest.mark.parametrize("name", NAMES)
+@each(NAMES)
 def test_no_method_reads_the_truth(problems: DropProblems, solve: Solve, name: str):
     method = methods()[name]
     problem = problems.pose(CASE, free_release=method.free_release)
@@ -155,7 +162,7 @@ FOUND = {
 }
 
 
-@pytest.mark.parametrize("name", FOUND)
+@each(FOUND)
 def test_a_search_finds_what_is_there(solve: Solve, name: str):
     rollouts, tolerance = FOUND[name]
     for truth in (0.45, 0.61):
@@ -177,6 +184,7 @@ def test_the_secant_bears_a_centimetre_of_noise(problems: DropProblems):
     assert np.mean(np.abs(off)) < 0.002
 
 
+@pytest.mark.slow
 def test_noise_about_a_ball_at_rest_is_no_flight(problems: DropProblems):
     for truth in (0.0, 0.02, 0.04):
         for seed in range(10):
@@ -218,6 +226,7 @@ def test_the_secant_is_exact_where_the_first_flight_is_clean(problems: DropProbl
         assert trace.estimate[0] == pytest.approx(target.truth, abs=2e-9)
 
 
+@pytest.mark.slow
 def test_cma_es_answers_with_its_mean_after_whole_generations(solve: Solve):
     trace, problem = solve("cma-es", 25)
     assert [step.rollouts for step in trace.steps] == [0, 10, 20]
@@ -226,6 +235,7 @@ def test_cma_es_answers_with_its_mean_after_whole_generations(solve: Solve):
     assert not list(Path().glob("outcmaes*"))
 
 
+@pytest.mark.slow
 def test_entropy_search_stops_when_its_estimate_stays(problems: DropProblems):
     spent = {}
     for patience in (1, 2, None):
@@ -236,6 +246,7 @@ def test_entropy_search_stops_when_its_estimate_stays(problems: DropProblems):
     assert spent[1] <= spent[2] <= spent[None] == 30
 
 
+@pytest.mark.slow
 def test_entropy_search_answers_with_bins_of_its_range(problems: DropProblems):
     trace = EntropySearch((0.3, 0.7), 0).estimate(problems.pose(CASE), 10)
     bins = np.linspace(0.3, 0.7, 50)
@@ -243,7 +254,7 @@ def test_entropy_search_answers_with_bins_of_its_range(problems: DropProblems):
     assert all(np.isclose(bins, step.values[0]).any() for step in trace.steps[1:])
 
 
-@pytest.mark.parametrize("name", ["brent", "least-squares", "tpe"])
+@each(["brent", "least-squares", "tpe"])
 def test_what_keeps_the_best_never_gets_worse(solve: Solve, name: str):
     trace, problem = solve(name, 25)
     looks = [step.look for step in trace.steps if step.look is not None]
@@ -252,6 +263,7 @@ def test_what_keeps_the_best_never_gets_worse(solve: Solve, name: str):
     assert costs == sorted(costs, reverse=True)
 
 
+@pytest.mark.slow
 def test_direct_prediction_learns_the_value_itself(problems: DropProblems):
     pairs = PRESET.make_pairs(200, 0, 1, QUIET)
     direct = direct_pairs(pairs)
@@ -281,6 +293,7 @@ def test_rows_of_the_table_have_names_of_their_own():
     assert {one.name for one in rows if one.budget == 0} == {"mean", "direct"}
 
 
+@pytest.mark.slow
 def test_no_search_is_lost_where_the_first_guess_is_far(problems: DropProblems):
     targets = draw_targets(HARD, 10, 5)
     bounds = {"secant": (6, 0.002), "brent": (30, 0.05), "least-squares": (60, 0.03)}

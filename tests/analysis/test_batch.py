@@ -95,10 +95,15 @@ sys.exit(main([{str(drop_log)!r}, "-o", {str(tmp_path / "out")!r}]))
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_options_that_fit_no_log_stop_at_once(drop_log: Path, tmp_path: Path, jobs: int):
+def test_weights_that_are_none_stop_at_once(drop_log: Path, tmp_path: Path, jobs: int):
     other = record(tmp_path / "b.mcap", restitution=0.6, height_m=1.0)
     with pytest.raises(WeightsError):
         tune_all([drop_log, other], Options(weights=drop_log), None, jobs, QUIET)
+
+
+@pytest.mark.parametrize("jobs", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_options_that_fit_no_log_stop_at_once(drop_log: Path, tmp_path: Path, jobs: int):
+    other = record(tmp_path / "b.mcap", restitution=0.6, height_m=1.0)
     with pytest.raises(UsageError):
         tune_all([drop_log, other], Options(initial=2.0), None, jobs, QUIET)
 
@@ -126,3 +131,10 @@ def test_a_name_that_is_not_utf8_is_no_obstacle(drop_log: Path):
     assert result.trouble is None
     assert result.review is not None
     assert result.review.exists()
+
+
+def test_what_follows_a_dot_in_a_name_stays_in_it(tmp_path: Path):
+    logs = [record(tmp_path / f"drop.{one}.mcap", restitution=0.6, height_m=1.0) for one in "12"]
+    tune_all(logs, Options(), tmp_path / "out", 1, QUIET)
+    names = sorted(one.name for one in (tmp_path / "out").glob("*.json"))
+    assert names == ["drop.1.json", "drop.2.json"]

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.stats import binomtest
 
 from analysis.campaign.attempts import Attempt, attempts_of
 from analysis.campaign.build import campaign_of
@@ -64,6 +63,8 @@ def attempts(
 
 @pytest.mark.parametrize(("successes", "count"), [(0, 1), (1, 1), (0, 10), (52, 60), (7, 38)])
 def test_wilson_is_scipys(successes: int, count: int):
+    from scipy.stats import binomtest  # dear to load
+
     ends = binomtest(successes, count).proportion_ci(method="wilson")
     assert wilson95(successes, count) == pytest.approx((ends.low, ends.high), abs=1e-12)
 
@@ -236,3 +237,11 @@ def test_a_film_is_made_small(filmed_log: Path):
         pytest.approx(0.5, abs=0.04),
         pytest.approx(1, abs=0.04),
     )
+
+
+def test_a_drop_that_was_doubted_and_used_counts_as_accepted():
+    shots = [outcome(1, drop_log="a.mcap"), outcome(2, drop_log="b.mcap", success=False)]
+    drops = [drop("a", "suspect"), drop("b", "rejected")]
+    _, accepted, rejected = overall_rates(attempts(shots, drops))
+    assert (accepted.successes, accepted.count) == (1, 1)
+    assert (rejected.successes, rejected.count) == (0, 1)

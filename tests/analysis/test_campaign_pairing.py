@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -19,10 +18,11 @@ from analysis.experiments.shots.hidden_shot import take_shot
 from analysis.experiments.shots.hidden_world import HiddenBall
 from analysis.review.campaign.attempt import attempt_words
 from analysis.review.campaign.words import campaign_words
+from recorders.filmed_drop import FilmOrder
 from recorders.simulators.shot.rig import ShotRig
 from tests.analysis import campaigns
 from tests.analysis.test_campaign import QUIET, attempts, drop, outcome
-from tests.conftest import BIN, film
+from tests.conftest import Command, film
 from tunenet_logs.errors import LogError
 from tunenet_logs.outcome import MOST_ATTEMPTS, write_outcome
 from tunenet_logs.reader import read_episode
@@ -198,9 +198,9 @@ def test_a_table_of_positions_is_a_drop_where_it_is_named(tmp_path: Path):
     assert not material.untuned
 
 
-def test_an_arms_log_is_no_drop_that_was_tuned(tmp_path: Path):
-    words = ["--simulate", "payload", "--mass", "0.6", "--quiet", "-o", str(tmp_path / "p.mcap")]
-    subprocess.run([str(BIN / "tunenet-record"), *words], check=True, capture_output=True)
+def test_an_arms_log_is_no_drop_that_was_tuned(command: Command, tmp_path: Path):
+    words = ("--simulate", "payload", "--mass", 0.6, "--quiet", "-o", tmp_path / "p.mcap")
+    assert command("tunenet-record", *words).returncode == 0
     campaigns.outcome(tmp_path, 1)
     campaign = campaign_of([tmp_path], 1, QUIET, pytest.fail)
     assert (campaign.tuned_now, campaign.unread, len(campaign.attempts)) == (0, 0, 1)
@@ -252,9 +252,8 @@ def test_the_experiments_miss_has_the_sign_of_its_side():
 
 @pytest.mark.parametrize("rate_hz", [240.0, 100.0, 50.0, 25.0])
 def test_a_small_film_has_at_most_thirty_a_second(tmp_path: Path, rate_hz: float):
-    log = film(
-        tmp_path / "fast.mcap", restitution=0.7, height_m=0.8, seconds=1.2, rate_hz=rate_hz, seed=1
-    )
+    drop = {"restitution": 0.7, "height_m": 0.8, "seconds": 1.2, "rate_hz": rate_hz, "seed": 1}
+    log = film(tmp_path / "fast.mcap", FilmOrder(size_px=(80, 60)), **drop)
     small = small_film(log, None, None)
     assert small is not None
     span_s = small.seconds[-1] - small.seconds[0]

@@ -9,8 +9,16 @@ import pytest
 from tests.conftest import Command
 
 
-def test_tune_prints_a_table_and_says_how_to_look(command: Command, drop_log: Path):
-    result = command("tunenet-tune", drop_log)
+@pytest.mark.parametrize("name", ["logs", "record", "tune", "review", "train", "plan", "eval"])
+def test_help_shows_examples(process: Command, name: str):
+    result = process(f"tunenet-{name}", "--help")
+    assert result.returncode == 0
+    assert "examples:" in result.stdout
+    assert f"  tunenet-{name} " in result.stdout
+
+
+def test_tune_prints_a_table_and_says_how_to_look(process: Command, drop_log: Path):
+    result = process("tunenet-tune", drop_log)
     assert result.returncode == 0, result.stderr
     assert "0.7000" in result.stdout
     assert f"rerun {drop_log.with_suffix('.rrd')}" in result.stdout
@@ -78,7 +86,7 @@ def test_an_output_that_cannot_be_written_is_one_line(command: Command, drop_log
 
 def test_train_writes_weights_that_tune_takes(command: Command, drop_log: Path, tmp_path: Path):
     weights = tmp_path / "w.safetensors"
-    words = ("--pairs", 400, "--epochs", 2, "-o", weights)
+    words = ("--pairs", 40, "--epochs", 2, "--jobs", 1, "-o", weights)
     result = command("tunenet-train", "drop", *words)
     assert result.returncode == 0, result.stderr
     assert "s in all" in result.stdout
@@ -96,11 +104,8 @@ def test_a_preset_that_a_task_does_not_have_is_one_line(command: Command, tmp_pa
     assert "default, paper" in result.stderr
 
 
-@pytest.mark.parametrize(
-    "name", ["tunenet-tune", "tunenet-train", "tunenet-record", "tunenet-logs"]
-)
-def test_help_shows_examples(command: Command, name: str):
-    result = command(name, "--help")
-    assert result.returncode == 0
-    assert "examples:" in result.stdout
-    assert f"  {name} " in result.stdout
+def test_plan_prints_shots_from_nothing_but_a_restitution(process: Command, tmp_path: Path):
+    result = process("tunenet-plan", "--restitution", 0.6, cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert "<- best" in result.stdout
+    assert not list(tmp_path.iterdir())

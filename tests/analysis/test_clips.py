@@ -74,6 +74,7 @@ def test_a_clip_is_the_same_each_time_and_others_are_others():
     assert len(looks) == 3
 
 
+@pytest.mark.slow
 def test_the_whole_fall_is_in_the_picture():
     for index in (4, 5, 16):
         order = draw_clip(1001, index)
@@ -83,6 +84,7 @@ def test_the_whole_fall_is_in_the_picture():
         assert np.ptp(places[:, 1]) > 0.3 * order.view.size_px[1]
 
 
+@pytest.mark.slow
 def test_a_clip_is_tracked_to_a_part_of_a_pixel(tmp_path: Path):
     """The figure to hold: .2 px rms, the centre's own place, not up to a constant."""
     order = short_clip()
@@ -92,6 +94,7 @@ def test_a_clip_is_tracked_to_a_part_of_a_pixel(tmp_path: Path):
     assert np.sqrt((off[seen] ** 2).sum(axis=1).mean()) < 0.2
 
 
+@pytest.mark.slow
 def test_versions_show_the_same_ball(tmp_path: Path):
     order = replace(short_clip(), as_log=False)
     paths = dict(zip(VERSIONS, write_versions(order, tmp_path, VERSIONS), strict=True))
@@ -127,6 +130,7 @@ def test_one_clip_goes_the_whole_road():
     assert 0.9 < result.found <= 1
 
 
+@pytest.mark.slow
 def test_its_versions_are_answered_alike():
     order = replace(short_clip(), length_s=1.2)
     estimates = version_estimates(order)

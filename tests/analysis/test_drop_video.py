@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,8 +14,10 @@ from analysis.tuning import Options, Tuning, tune_log
 from recorders.filmed_drop import FilmOrder, film_drop
 from recorders.session import record_episode
 from recorders.simulated_drop import DropOrder
-from tests.conftest import ROOT, Command, film, real
-from tests.recorders.mjpeg_camera import playing
+from tests.analysis.films import short_film
+from tests.conftest import ROOT, Command, Made, film
+from tests.recorders.live_wait import LAST_RESORT_S
+from tests.recorders.mjpeg_camera import check_times, playing
 from tests.strangers import Stranger, write_poses
 from tunenet_logs import messages
 from tunenet_logs.episode import EpisodeInfo, Frame
@@ -33,6 +34,17 @@ def value(tuning: Tuning) -> float:
     return float(tuning.estimate[0])
 
 
+@pytest.fixture(scope="module")
+def short(made: Made) -> Path:
+    return short_film(made, rate_hz=30)
+
+
+@pytest.fixture(scope="module")
+def tuned(short: Path) -> Tuning:
+    return tune_log(short, Options())
+
+
+@pytest.mark.slow
 def test_fresh_films_of_random_cameras(tmp_path: Path):
     """The figure to hold: mean absolute error .015. `python -m benchmarks.video` has more drops."""
     rng = np.random.default_rng(40_001)
@@ -54,69 +66,51 @@ def test_fresh_films_of_random_cameras(tmp_path: Path):
     assert np.mean(off) < 0.01
 
 
-def test_truth_in_the_log_changes_nothing(filmed_log: Path, tmp_path: Path):
-    episode = read_episode(filmed_log)
+def test_truth_in_the_log_changes_nothing(short: Path, tuned: Tuning, tmp_path: Path):
+    episode = read_episode(short)
     info = replace(episode.info, truth={"restitution": 0.1})
-    for name, one in {"a": episode.info, "b": info, "c": EpisodeInfo()}.items():
+    for name, one in {"wrong": info, "none": EpisodeInfo()}.items():
         with EpisodeWriter(tmp_path / f"{name}.mcap", one, live=False) as writer:
             for frame in episode.frames():
                 writer.write_frame("/any/camera", frame)
-    first, *others = (tune_log(path, Options()) for path in sorted(tmp_path.glob("*.mcap")))
-    for other in others:
-        assert first.trace is not None
+    assert tuned.trace is not None
+    for path in tmp_path.glob("*.mcap"):
+        other = tune_log(path, Options())
         assert other.trace is not None
-        for mine, theirs in zip(first.trace.steps, other.trace.steps, strict=True):
+        for mine, theirs in zip(tuned.trace.steps, other.trace.steps, strict=True):
             assert np.array_equal(mine.values, theirs.values)
-
-
-def test_a_clip_of_a_phone_recorded_and_tuned(command: Command, tmp_path: Path):
-    """Measured by hand .507, 95 % .490 to .525: 120 fps stored as 30, rotated, no options."""
-    clip = real("videos/red_ball_drop_120fps.mp4")
-    recorded = command("tunenet-record", "--camera", clip, "-o", tmp_path / "a.mcap")
-    assert recorded.returncode == 0, recorded.stderr
-    filmed, kept = (read_episode(one) for one in (clip, tmp_path / "a.mcap"))
-    stamps = [np.array([one.stamp_ns for one in each.frames()]) for each in (filmed, kept)]
-    assert np.array_equal(*(one - one[0] for one in stamps))
-    tuned = command("tunenet-tune", clip, "-o", tmp_path)
-    assert tuned.returncode == 0, tuned.stderr
-    result = json.loads((tmp_path / f"{clip.stem}.json").read_text())
-    assert 0.44 < result["parameters"]["restitution"]["value"] < 0.58
-    assert (tmp_path / f"{clip.stem}.rrd").stat().st_size > 100_000
-
-
-@pytest.mark.parametrize("name", ["green_ball_tossed.mp4", "green_ball_in_hand.mp4"])
-def test_a_ball_that_does_not_bounce_is_rejected(command: Command, tmp_path: Path, name: str):
-    result = command("tunenet-tune", real(f"negatives/{name}"), "-o", tmp_path)
-    assert result.returncode == 1
-    assert "rejected" in result.stdout
-    report = json.loads(next(tmp_path.glob("*.json")).read_text())
-    assert report["verdict"] == "rejected"
-    assert report["parameters"] is None
-    assert "bounce" in report["reason"] or "fly" in report["reason"]
 
 
 @pytest.mark.live
 def test_a_network_camera_plays_a_drop(command: Command, tmp_path: Path):
-    """The figure to hold: restitution within .02 of the truth, over real sockets at 60 fps."""
-    count = sum(1 for _ in read_episode(SAMPLE).frames())
-    with playing(log=str(SAMPLE), frames=count, rate_hz=60.0, size=(320, 240)) as address:
-        recorded = command(
-            "tunenet-record", "--camera", f"http://{address}", "-o", "a.mcap", cwd=tmp_path
-        )
-    assert recorded.returncode == 0, recorded.stderr
-    assert f"{count} frames captured, {count} written, 0 dropped" in recorded.stdout
+    """The figure to hold: restitution within .02 of the truth, over real sockets.
+
+    On a busy machine pictures are sent late. So their stamps are compared with the moments of
+    sending and receipt, and what is tuned has those at which a camera of 60 fps takes them.
+    """
     sent = [frame.data for frame in read_episode(SAMPLE).frames()]
-    assert [frame.data for frame in read_episode(tmp_path / "a.mcap").frames()] == sent
-    assert value(tune_log(tmp_path / "a.mcap", Options())) == pytest.approx(0.74, abs=0.02)
+    with playing(log=str(SAMPLE), frames=len(sent), rate_hz=240.0) as address:
+        words = ("--camera", f"http://{address}", "--stall", LAST_RESORT_S, "-o", "a.mcap")
+        recorded = command("tunenet-record", *words, cwd=tmp_path)
+        check_times(tmp_path / "a.mcap", address)
+    assert recorded.returncode == 0, recorded.stderr
+    assert f"{len(sent)} frames captured, {len(sent)} written, 0 dropped" in recorded.stdout
+    episode = read_episode(tmp_path / "a.mcap")
+    assert [frame.data for frame in episode.frames()] == sent
+    with EpisodeWriter(tmp_path / "b.mcap", episode.info, live=False) as writer:
+        for number, frame in enumerate(episode.frames()):
+            stamp_ns = round(number * 1e9 / 60)
+            writer.write_frame(messages.CAMERA_TOPIC, replace(frame, stamp_ns=stamp_ns))
+    assert value(tune_log(tmp_path / "b.mcap", Options())) == pytest.approx(0.74, abs=0.02)
 
 
-def test_positions_come_before_pictures_unless_a_topic_says_so(filmed_log: Path, tmp_path: Path):
+def test_positions_come_before_pictures_unless_a_topic_says_so(short: Path, tmp_path: Path):
     stamps, positions = Stranger(restitution=0.4, gap_m=1.0).samples()
     path = tmp_path / "both.mcap"
     with EpisodeWriter(path, EpisodeInfo(kind="drop"), live=False) as writer:
         for stamp_ns, position_m in zip(stamps, positions, strict=True):
             writer.write_pose("/mocap/ball", int(stamp_ns), position_m)
-        for frame in read_episode(filmed_log).frames():
+        for frame in read_episode(short).frames():
             writer.write_frame("/webcam", frame)
     assert value(tune_log(path, Options())) == pytest.approx(0.4, abs=0.01)
     camera = tune_log(path, Options(selection=Selection(topic="/webcam")))
@@ -135,21 +129,20 @@ def test_hints_for_pictures_are_not_used_in_silence(command: Command, drop_log: 
         assert "--roi not used" in result.stdout + result.stderr
 
 
-@pytest.mark.parametrize("kind", ["drop_log", "filmed_log"])
+@pytest.mark.parametrize(("kind", "length_s"), [("drop_log", "6.65"), ("short", "1.77")])
 def test_a_part_past_the_end_is_one_line_with_the_length(
-    command: Command, kind: str, request: pytest.FixtureRequest, tmp_path: Path
+    command: Command, kind: str, length_s: str, request: pytest.FixtureRequest, tmp_path: Path
 ):
     log = request.getfixturevalue(kind)
     result = command("tunenet-tune", log, "--start", "90", "-o", tmp_path)
     assert result.returncode == 1
-    length_s = {"drop_log": "6.65", "filmed_log": "3.28"}[kind]
     said = f"--start 90 is past the end: the recording is {length_s} s long"
     assert sum(said in line for line in result.stdout.splitlines()) == 1
     assert not result.stderr
 
 
-def test_the_camera_that_sees_the_drop_is_found(filmed_log: Path, tmp_path: Path):
-    frames = list(read_episode(filmed_log).frames())
+def test_the_camera_that_sees_the_drop_is_found(short: Path, tmp_path: Path):
+    frames = list(read_episode(short).frames())
     path = tmp_path / "two.mcap"
     with EpisodeWriter(path, EpisodeInfo(kind="drop"), live=False) as writer:
         for frame in frames:
@@ -160,22 +153,21 @@ def test_the_camera_that_sees_the_drop_is_found(filmed_log: Path, tmp_path: Path
     assert tuning.found.topic == "/b_drop"
 
 
-def test_part_of_a_film(filmed_log: Path):
-    whole = tune_log(filmed_log, Options())
-    part = tune_log(filmed_log, Options(selection=Selection(start_s=0.4, end_s=2.0)))
+def test_part_of_a_film(short: Path, tuned: Tuning):
+    part = tune_log(short, Options(selection=Selection(start_s=0.4, end_s=1.7)))
     assert value(part) == pytest.approx(0.7, abs=0.015)
-    assert part.found.drop.impact_s == pytest.approx(whole.found.drop.impact_s, abs=0.005)
+    assert part.found.drop.impact_s == pytest.approx(tuned.found.drop.impact_s, abs=0.005)
 
 
-def test_the_ball_marked_while_it_was_recorded(filmed_log: Path, tmp_path: Path):
-    episode = read_episode(filmed_log)
-    track = tune_log(filmed_log, Options()).found.film.track
-    x, y = track.places_px[40]
-    notes = {"ball_at_px": f"{x:.1f},{y:.1f}", "ball_at_stamp_ns": str(track.stamps_ns[40])}
+def test_the_ball_marked_while_it_was_recorded(short: Path, tuned: Tuning, tmp_path: Path):
+    episode = read_episode(short)
+    track = tuned.found.film.track
+    above, flying = ("{:.1f},{:.1f}".format(*track.places_px[index]) for index in (0, 20))
+    notes = {"ball_at_px": flying, "ball_at_stamp_ns": str(track.stamps_ns[20])}
     wrong = {
         "far": {"ball_at_px": "9999,1"},
         "aimed": {"ball_at_stamp_ns": str(track.stamps_ns[0] - 10**10)},
-        "later": {"ball_at_stamp_ns": "9" * 400},
+        "later": {"ball_at_px": above, "ball_at_stamp_ns": "9" * 400},
         "corner": {"ball_at_px": "2,2"},
     }
     for name, marked in {"good": notes, **{k: {**notes, **v} for k, v in wrong.items()}}.items():
@@ -190,8 +182,8 @@ def test_the_ball_marked_while_it_was_recorded(filmed_log: Path, tmp_path: Path)
         assert said == (name in ("aimed", "later", "corner")), name
 
 
-def test_a_wrong_frame_rate_is_told_by_a_known_height(filmed_log: Path, tmp_path: Path):
-    episode = read_episode(filmed_log)
+def test_a_wrong_frame_rate_is_told_by_a_known_height(short: Path, tmp_path: Path):
+    episode = read_episode(short)
     with EpisodeWriter(tmp_path / "slow.mcap", episode.info, live=False) as writer:
         for frame in episode.frames():
             writer.write_frame("/camera", replace(frame, stamp_ns=4 * frame.stamp_ns))
@@ -222,8 +214,8 @@ def with_frames(path: Path, frames: list[Frame]) -> Path:
     return path
 
 
-def test_pictures_that_are_none(tmp_path: Path, filmed_log: Path):
-    frames = list(read_episode(filmed_log).frames())
+def test_pictures_that_are_none(tmp_path: Path, short: Path):
+    frames = list(read_episode(short).frames())
     for name, wrong, reason in (
         ("garbage", [replace(one, data=b"no picture") for one in frames], "no picture"),
         ("one", frames[:1], "too few"),
@@ -234,8 +226,8 @@ def test_pictures_that_are_none(tmp_path: Path, filmed_log: Path):
         assert reason in (tuning.reason or ""), name
 
 
-def test_damaged_pictures_among_good_ones_are_counted(tmp_path: Path, filmed_log: Path):
-    frames = list(read_episode(filmed_log).frames())
+def test_damaged_pictures_among_good_ones_are_counted(tmp_path: Path, short: Path):
+    frames = list(read_episode(short).frames())
     frames[10] = replace(frames[10], data=frames[10].data[:100])
     tuning = tune_log(with_frames(tmp_path / "a.mcap", frames), Options())
     assert value(tuning) == pytest.approx(0.7, abs=0.01)
@@ -243,9 +235,9 @@ def test_damaged_pictures_among_good_ones_are_counted(tmp_path: Path, filmed_log
 
 
 @pytest.mark.parametrize("stamps", ["none", "constant", "backwards"])
-def test_header_stamps_that_do_not_tell_the_time(tmp_path: Path, filmed_log: Path, stamps: str):
+def test_header_stamps_that_do_not_tell_the_time(tmp_path: Path, short: Path, stamps: str):
     """As drivers write them that do not know when; the log's own times are used."""
-    frames = list(read_episode(filmed_log).frames())
+    frames = list(read_episode(short).frames())
     told = {"none": lambda _: 0, "constant": lambda _: 7, "backwards": lambda ns: 10**12 - ns}
     path = tmp_path / "a.mcap"
     with EpisodeWriter(path, EpisodeInfo(kind="drop"), live=False) as writer:
@@ -257,10 +249,10 @@ def test_header_stamps_that_do_not_tell_the_time(tmp_path: Path, filmed_log: Pat
     assert value(tune_log(path, Options())) == pytest.approx(0.7, abs=0.01)
 
 
-def test_pictures_of_another_size_are_left_out(tmp_path: Path, filmed_log: Path):
+def test_pictures_of_another_size_are_left_out(tmp_path: Path, short: Path):
     import cv2
 
-    frames = list(read_episode(filmed_log).frames())
+    frames = list(read_episode(short).frames())
     small = cv2.imencode(".jpg", np.zeros((60, 80, 3), np.uint8))[1].tobytes()
     frames[0] = replace(frames[0], data=small)
     frames[9] = replace(frames[9], data=small)
@@ -269,23 +261,10 @@ def test_pictures_of_another_size_are_left_out(tmp_path: Path, filmed_log: Path)
     assert "2 pictures of another size were left out" in tuning.warnings
 
 
-def test_a_video_with_a_hole_is_read_as_far_as_it_is_whole(command: Command, tmp_path: Path):
-    data = bytearray(real("videos/red_ball_drop_120fps.mp4").read_bytes())
-    data[1_700_000:1_700_400] = bytes(400)
-    (tmp_path / "hole.mp4").write_bytes(data)
-    result = command("tunenet-tune", tmp_path / "hole.mp4", "-o", tmp_path)
-    assert "Traceback" not in result.stderr
-    report = json.loads((tmp_path / "hole.json").read_text())
-    assert report["verdict"] in ("suspect", "rejected")
-    assert "pictures can be read" in report["reason"]
-
-
-def test_a_box_outside_the_picture_is_wrong_usage(
-    command: Command, filmed_log: Path, tmp_path: Path
-):
+def test_a_box_outside_the_picture_is_wrong_usage(command: Command, short: Path, tmp_path: Path):
     with pytest.raises(UsageError, match="--roi"):
-        tune_log(filmed_log, Options(selection=Selection(hints=Hints(roi=(400, 0, 20, 20)))))
-    result = command("tunenet-tune", filmed_log, "--roi", "400,0,20,20", "-o", tmp_path)
+        tune_log(short, Options(selection=Selection(hints=Hints(roi=(400, 0, 20, 20)))))
+    result = command("tunenet-tune", short, "--roi", "400,0,20,20", "-o", tmp_path)
     assert result.returncode == 2
     assert result.stderr.count("\n") == 1
     assert "320 x 240" in result.stderr

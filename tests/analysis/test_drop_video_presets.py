@@ -39,7 +39,9 @@ def network_alone(model: Model, plan: FilmPlan, simulator: DropSimulator) -> flo
     return float(TuneNet(model).estimate(TASK.problem(found, np.zeros(1)), 5).estimate[0])
 
 
-@pytest.mark.parametrize(("noise_px", "most"), [(0.3, 0.006), (1.0, 0.015)])
+@pytest.mark.parametrize(
+    ("noise_px", "most"), [(0.3, 0.006), pytest.param(1.0, 0.015, marks=pytest.mark.slow)]
+)
 def test_the_network_alone_finds_restitutions_in_tracks(
     model: Model, simulator: DropSimulator, noise_px: float, most: float
 ):

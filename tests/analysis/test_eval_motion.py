@@ -45,6 +45,7 @@ def test_json_and_csv_hold_one_record_for_each_row_and_seed():
     assert (again["seed"], again["cm"]) == (2, 0.006)
 
 
+@pytest.mark.slow
 def test_the_command_runs_from_nothing_to_a_table(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):

@@ -3,26 +3,22 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-from tests.conftest import ROOT
+from tests.conftest import Command
 from tunenet_logs.reader import read_episode
 
-
-def evaluate(*words: object) -> subprocess.CompletedProcess[str]:
-    """Run the command in a process of its own."""
-    line = [sys.executable, "-m", "analysis.cli.eval", "bounce-shot", *map(str, words)]
-    return subprocess.run(line, cwd=ROOT, capture_output=True, text=True, timeout=280)
+WORDS = ("tunenet-eval", "bounce-shot")
 
 
-def test_a_small_campaign(tmp_path: Path):
+@pytest.mark.slow
+def test_a_small_campaign(command: Command, tmp_path: Path):
     folder, told = tmp_path / "shots", tmp_path / "shots.json"
     words = ("--seeds", 1, "--targets", 2, "--sections", "campaigns", "--quiet", "--pairs", 50)
-    result = evaluate(*words, "--campaign", folder, "--json", told, "--csv", tmp_path / "s.csv")
+    files = ("--campaign", folder, "--json", told, "--csv", tmp_path / "s.csv")
+    result = command(*WORDS, *words, *files)
     assert result.returncode == 0, result.stderr
     assert "paper's, on the table" in result.stdout
     assert "62 %" in result.stdout
@@ -40,20 +36,22 @@ def test_a_small_campaign(tmp_path: Path):
     assert len((tmp_path / "s.csv").read_text().splitlines()) == 3
 
 
-def test_drops_are_judged():
-    result = evaluate("--seeds", 1, "--targets", 1, "--sections", "drops", "--quiet")
+@pytest.mark.slow
+def test_drops_are_judged(command: Command):
+    words = ("--seeds", 1, "--targets", 1, "--sections", "drops", "--quiet")
+    result = command(*WORDS, *words)
     assert result.returncode == 0, result.stderr
     assert "off the table" in result.stdout
     assert "good" in result.stdout
 
 
-def test_wrong_usage(tmp_path: Path):
+def test_wrong_usage(command: Command, tmp_path: Path):
     (tmp_path / "there").write_text("")
     for words, said in (
         (("--campaign", tmp_path), "is there already"),
         (("--sections", "shots"), "no section 'shots'"),
         (("--png", tmp_path / "x.png"), "--png is for drop"),
     ):
-        result = evaluate(*words)
+        result = command(*WORDS, *words)
         assert result.returncode == 2
         assert said in result.stderr

@@ -86,6 +86,7 @@ def test_coverage_of_nothing_is_a_dash_and_null():
     assert (second["covered"], second["ok_covered"]) == (1.0, None)
 
 
+@pytest.mark.slow
 def test_intervals_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     files = {name: tmp_path / f"a.{name}" for name in ("json", "csv")}
     words = [str(word) for name, path in files.items() for word in (f"--{name}", path)]

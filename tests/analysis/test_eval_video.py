@@ -110,6 +110,7 @@ def test_every_class_and_set_has_its_line():
     assert len(set(kinds)) == 12
 
 
+@pytest.mark.slow
 def test_the_same_figures_however_many_processes_there_are():
     cells = (SETS[1].cells[0], BAD.cells[0])
     section = Section("few", "a few", cells)
@@ -129,6 +130,7 @@ def test_the_same_figures_however_many_processes_there_are():
     assert (still[:, 5] == 2).all()
 
 
+@pytest.mark.slow
 def test_light_balls_are_the_same_told_or_not():
     told, _, untold = DRAG.cells
     with_air, without = (outcomes_of(Portion(one, -1, range(2))) for one in (told, untold))
@@ -136,6 +138,7 @@ def test_light_balls_are_the_same_told_or_not():
     assert SLOPE.cells[0].balls.slope == (0.05, 0.2)
 
 
+@pytest.mark.slow
 def test_the_command_prints_and_writes_the_tables_it_is_asked_for(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):

@@ -55,7 +55,7 @@ def filmed(
 
 
 @pytest.mark.parametrize("restitution", [0.2, 0.5, 0.8, 0.95])
-@pytest.mark.parametrize("perspective", [-0.5, 0.0, 0.5])
+@pytest.mark.parametrize("perspective", [-0.5, pytest.param(0.0, marks=pytest.mark.slow), 0.5])
 @pytest.mark.parametrize(("gap_m", "rate_hz"), [(0.5, 120.0), (2.0, 30.0)])
 def test_any_camera_height_and_rate(
     restitution: float, perspective: float, gap_m: float, rate_hz: float

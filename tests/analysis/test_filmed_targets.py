@@ -93,6 +93,7 @@ def test_a_ball_that_leaves_the_picture_is_not_seen():
     assert np.isfinite(filled(rows)).all()
 
 
+@pytest.mark.slow
 def test_a_row_is_that_of_a_rendered_and_tracked_clip():
     """Targets are projected, not rendered: what that leaves out is part of a pixel."""
     camera = PinholeCamera((5.0, 4.0, 6.5), (0.0, 0.0, 2.0), (100, 100), 60.0)
@@ -112,6 +113,7 @@ def test_a_row_is_that_of_a_rendered_and_tracked_clip():
     assert (off - np.median(off, axis=0)).std(axis=0).max() < 0.2
 
 
+@pytest.mark.slow
 def test_pairs_are_of_one_height_and_equal_ones_do_not_differ():
     pairs = filmed_pairs(60, 1002, 1, QUIET)
     assert pairs.observations.shape == (120, 400, 1)
@@ -125,6 +127,7 @@ def test_pairs_are_of_one_height_and_equal_ones_do_not_differ():
     assert rms[~same].mean() > 3 * rms[same].mean()
 
 
+@pytest.mark.slow
 def test_a_short_training_finds_restitutions_from_rows_alone(films: FilmedProblems):
     model = train_ours_on_films(1003, 1, QUIET, pairs=4000, epochs=20)
     method = BestVisited(RefinedTuneNet(model))

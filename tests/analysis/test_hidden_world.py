@@ -44,7 +44,14 @@ def test_a_fall_takes_what_the_closed_form_says():
     assert after.max() - 0.03 == pytest.approx(apex_m, rel=2e-4)
 
 
-@pytest.mark.parametrize(("restitution", "slope"), [(0.55, 0.12), (0.68, 0.03), (0.79, 0.08)])
+@pytest.mark.parametrize(
+    ("restitution", "slope"),
+    [
+        (0.68, 0.03),
+        pytest.param(0.55, 0.12, marks=pytest.mark.slow),
+        pytest.param(0.79, 0.08, marks=pytest.mark.slow),
+    ],
+)
 def test_the_planners_simulator_and_the_hidden_world_agree(restitution: float, slope: float):
     """They share no code: a height planned with the true law passes where the plan says."""
     rig = ShotRig()
@@ -102,6 +109,7 @@ def test_what_leaves_the_table_leaves_it(mishap: str):
     assert np.abs(good[:, :2]).max() < 0.01
 
 
+@pytest.mark.slow
 def test_a_film_of_the_hidden_world_is_tuned_to_its_truth(tmp_path: Path):
     """Recorded, tracked and fitted by what users run; the truth is the hidden ball's."""
     rng = np.random.default_rng(4)

@@ -57,6 +57,7 @@ def test_figures_are_means_over_runs_and_steps():
     assert found.percent == pytest.approx(100 * (0.1 + 0 + 0.2 + 0.25) / 4)
 
 
+@pytest.mark.slow
 def test_zero_and_untuned_rows(tuners: Tuners):
     found = tuning_errors(draw_targets(EASY, 100, 0), tuners, QUIET)
     assert found["zero"].percent == pytest.approx(100)
@@ -70,6 +71,7 @@ def test_zero_and_untuned_rows(tuners: Tuners):
     assert 2 < found["tunenet-obs"].percent < 12  # the paper's: 6.03, of one seed
 
 
+@pytest.mark.slow
 def test_what_gives_the_published_untuned_row():
     rng = np.random.default_rng(1)
     release_m, truth = rng.uniform(4, 5, 200), rng.uniform(0.3, 0.7, 200)
@@ -112,6 +114,7 @@ def test_a_rollout_of_the_true_simulator_is_the_truth():
     np.testing.assert_allclose(found, truth[:, 1:, 0], rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_short_training_beats_standing_still(learned: dict[str, MotionError]):
     assert learned["still-ahead"].cm == pytest.approx(1.82, abs=0.15)
     assert learned["neural-ahead"].cm < 0.5 * learned["still-ahead"].cm
@@ -119,6 +122,7 @@ def test_short_training_beats_standing_still(learned: dict[str, MotionError]):
     assert learned["neural-rollout"].cm < 97  # it does not run away
 
 
+@pytest.mark.slow
 def test_the_hybrid_remembers_the_impacts_that_it_saw():
     drops = training_drops(200, 0, QUIET)
     drops = Transitions(drops.states[:, :151], drops.simulated[:, :150])
@@ -135,6 +139,7 @@ def test_the_hybrid_remembers_the_impacts_that_it_saw():
     assert bouncy > dull + 0.4
 
 
+@pytest.mark.slow
 def test_the_memory_is_that_of_torch():
     import torch
 
@@ -150,6 +155,7 @@ def test_the_memory_is_that_of_torch():
         np.testing.assert_allclose(memory, wanted[step].numpy(), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_hybrid_that_sees_nothing_cannot_use_the_truth():
     drops = training_drops(4, 0, QUIET)
     hybrid = train_vrnn(drops, VrnnRecipe(Sizes(8, 2, 8), epochs=1, batch=4), 0, QUIET)
@@ -171,6 +177,7 @@ def test_a_network_without_weights_leaves_the_simulator_alone():
     assert np.array_equal(predict(hybrid, truth, 70), alone)
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_figures(tuners: Tuners):
     tiny = OneStepTraining(10, NeuralRecipe(8, 2), VrnnRecipe(Sizes(8, 2, 8), epochs=1, batch=5))
     first, again, other = (

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import torch
 
 from analysis.tunenet.network import NETWORKS, Model, Network, Scaling, initial_weights
 
@@ -27,6 +26,8 @@ def observations() -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_torch_and_numpy_agree(network: Network, observations):
+    import torch
+
     proposed, target = observations
     here = network.residual(weights(network), proposed, target)
     tensors = {name: torch.from_numpy(value) for name, value in weights(network).items()}

@@ -29,7 +29,9 @@ def failed(episode, tare=None, **part) -> dict[str, bool]:
     return {one.name: one.fatal for one in checks if not one.passed}
 
 
-@pytest.mark.parametrize("seed", [71, 72, 73])
+@pytest.mark.parametrize(
+    "seed", [71, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (72, 73))]
+)
 def test_a_real_drivers_logs_pass_with_a_tare(seed):
     disturbances = driver(seed)
     tare = circle_log(None, disturbances.another_run())
@@ -40,7 +42,9 @@ def test_a_clean_log_passes():
     assert failed(circle_log(Payload(0.5))) == {}
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize(
+    "seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))]
+)
 def test_noise_is_no_arm(seed):
     rng = np.random.default_rng(seed)
     noise = with_values(lambda one: rng.normal(0, 3, one.shape))
@@ -94,11 +98,36 @@ def test_a_log_of_a_real_jaco_without_torques():
 @pytest.mark.parametrize(
     ("name", "topic"),
     [
-        ("jaco_names_recorded_by_rosbag", None),
+        pytest.param("jaco_names_recorded_by_rosbag", None, marks=pytest.mark.slow),
         ("jaco_names_recorded_by_rosbag", "/j2s7s300_driver/out/joint_torques"),
-        ("jaco_names_recorded_by_rosbag_lz4", None),
+        pytest.param("jaco_names_recorded_by_rosbag_lz4", None, marks=pytest.mark.slow),
         ("jaco_names_recorded_by_rosbag_lz4", "/j2s7s300_driver/out/joint_state"),
     ],
 )
 def test_made_up_torques_in_a_bag(name, topic):
     assert failed(read_episode(real(f"ros1/{name}.bag")), topic=topic)["torques fit the arm"]
+
+
+@pytest.mark.parametrize("slow", ["position", "effort"])
+def test_the_slower_of_positions_and_torques_counts(slow):
+    def at_5_hz(signal):
+        return replace(signal, stamps_ns=signal.stamps_ns[::12], values=signal.values[::12])
+
+    log = read_arm_log(changed(circle_log(Payload(0.5)), **{slow: at_5_hz}), ARM)
+    rate = next(one for one in arm_checks(log, arm_motion(log), ARM) if one.name == "rate")
+    assert not rate.passed
+    assert "5 Hz" in rate.detail
+    assert "60 Hz" in rate.detail
+
+
+@pytest.mark.parametrize("sds", [-6.0, 6.0])
+def test_a_sensor_that_is_far_off_is_named_whichever_way(sds):
+    log = read_arm_log(circle_log(Payload(0.5)), ARM)
+    fit = fit_payload(ARM, arm_motion(log), None)
+    terms = list(fit.nuisances)
+    at = next(index for index, one in enumerate(terms) if one.group == "offset")
+    terms[at] = replace(terms[at], value=sds * terms[at].prior_sd)
+    checks = payload_checks(replace(fit, nuisances=tuple(terms)), ARM, log)
+    check = next(one for one in checks if one.name == "friction and sensors are usual")
+    assert not check.passed
+    assert terms[at].name in check.detail

@@ -51,23 +51,28 @@ def tuned() -> Tuning:
     return tune_episode(simulate_payload(PayloadOrder(mass_kg=0.7, is_driver=True)), Options())
 
 
-def test_the_torques_lie_on_the_logs_time(tuned: Tuning, tmp_path: Path):
-    path, found = drawn(tuned, tmp_path), tuned.found
+@pytest.fixture(scope="module")
+def review(tuned: Tuning, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return drawn(tuned, tmp_path_factory.mktemp("review"))
+
+
+def test_the_torques_lie_on_the_logs_time(tuned: Tuning, review: Path):
+    found = tuned.found
     for joint in range(7):
         torque, residual = f"/torque/joint_{joint + 1}", f"/residual/joint_{joint + 1}"
-        times, observed = series(path, f"{torque}/observed", "Scalars:scalars")
+        times, observed = series(review, f"{torque}/observed", "Scalars:scalars")
         assert times == pytest.approx(found.path.seconds, abs=1e-8)
         assert observed[:, 0] == pytest.approx(found.effort_nm[:, joint])
-        _, simulated = series(path, f"{torque}/iterations", "Scalars:scalars")
+        _, simulated = series(review, f"{torque}/iterations", "Scalars:scalars")
         assert simulated.shape == (len(times), 7)
-        _, off = series(path, f"{residual}/iterations", "Scalars:scalars")
+        _, off = series(review, f"{residual}/iterations", "Scalars:scalars")
         assert off == pytest.approx(simulated - observed)
-        _, left = series(path, f"{residual}/fit", "Scalars:scalars")
+        _, left = series(review, f"{residual}/fit", "Scalars:scalars")
         assert left[:, 0] == pytest.approx(-found.fit.residual_nm[:, joint])
 
 
-def test_the_last_iteration_is_the_rigid_arm_with_the_result(tuned: Tuning, tmp_path: Path):
-    _, simulated = series(drawn(tuned, tmp_path), "/torque/joint_2/iterations", "Scalars:scalars")
+def test_the_last_iteration_is_the_rigid_arm_with_the_result(tuned: Tuning, review: Path):
+    _, simulated = series(review, "/torque/joint_2/iterations", "Scalars:scalars")
     assert tuned.estimate is not None
     expected = tuned.found.simulator.efforts_nm(float(tuned.estimate[0]))
     assert simulated[:, -1] == pytest.approx(expected[:, 1])
@@ -89,15 +94,15 @@ def test_joints_that_feel_the_payload_most_come_first(tuned: Tuning):
     assert [joint + 1 for joint in story.order] == [2, 4, 5, 6, 3, 1, 7]
 
 
-def test_the_arm_is_where_it_was_measured(tuned: Tuning, tmp_path: Path):
-    path, found = drawn(tuned, tmp_path), tuned.found
-    times, tool_m = series(path, "/scene/arm/tool", "Transform3D:translation")
+def test_the_arm_is_where_it_was_measured(tuned: Tuning, review: Path):
+    found = tuned.found
+    times, tool_m = series(review, "/scene/arm/tool", "Transform3D:translation")
     assert np.diff(times).max() < 2 / 30
     at = np.column_stack(
         [np.interp(times, found.path.seconds, q) for q in found.path.position_rad.T]
     )
     assert tool_m[:, 0] == pytest.approx(link_positions_m(found.arm, at)[:, -1], abs=1e-5)
-    entities = contents(path)
+    entities = contents(review)
     for number in range(1, 8):
         assert entities[f"/scene/arm/link_{number}"] == {"static", "log_time_s"}
     assert entities["/scene/arm/tool/payload"] == {"static"}
@@ -111,8 +116,8 @@ def test_a_heavier_payload_is_a_larger_ball_that_can_be_seen():
     assert sizes[3] == pytest.approx((3 * 0.5 / (4 * np.pi * 1000)) ** (1 / 3))
 
 
-def test_iterations_can_be_scrubbed_over_fixed_torques(tuned: Tuning, tmp_path: Path):
-    entities = contents(drawn(tuned, tmp_path))
+def test_iterations_can_be_scrubbed_over_fixed_torques(review: Path):
+    entities = contents(review)
     for joint in range(1, 8):
         assert entities[f"/sheets/torque_{joint}/observed"] == {"static"}
         assert entities[f"/sheets/torque_{joint}/simulated"] >= {"iteration"}

@@ -43,7 +43,9 @@ def test_rollouts_that_do_not_differ_make_no_line(paper: DropProblems):
 
 
 @pytest.mark.parametrize("contact", [PAPER, CALIBRATED], ids=lambda one: one.name)
-@pytest.mark.parametrize(("noise_m", "most"), [(0.0, 1e-4), (0.01, 0.002)])
+@pytest.mark.parametrize(
+    ("noise_m", "most"), [(0.0, 1e-4), pytest.param(0.01, 0.002, marks=pytest.mark.slow)]
+)
 def test_five_rollouts_are_enough(contact, noise_m: float, most: float):
     problems = DropProblems(contact)
     preset = "default" if contact is CALIBRATED else "paper-code"
@@ -55,6 +57,7 @@ def test_five_rollouts_are_enough(contact, noise_m: float, most: float):
     assert np.median(off) < most
 
 
+@pytest.mark.slow
 def test_more_rollouts_search_near_by(paper: DropProblems):
     estimator = RefinedTuneNet(shipped_model(PRESETS["paper-code"].purpose))
     off = []
@@ -82,3 +85,15 @@ def test_a_dead_network_is_helped_by_a_probe(paper: DropProblems):
     still = cast("Model", lambda proposed, _: np.zeros((len(proposed), 1)))
     trace = RefinedTuneNet(still).estimate(problem, 8)
     assert trace.estimate[0] == pytest.approx(0.41, abs=1e-4)
+
+
+@pytest.mark.parametrize("truth", [0.7, 0.93])
+def test_a_line_between_two_rollouts_uses_the_longest_beginning_that_fits(truth: float):
+    problem = DropProblems(PAPER).pose(DropTarget(4.4, 0.5, truth, noise_m=0.01))
+    near = [np.array([truth + off]) for off in (0.0075, 0.005)]
+    line = line_through(
+        [(float(one[0]), problem.misfit(problem.look(one))) for one in near], problem
+    )
+    assert line is not None
+    assert line.samples > 100
+    assert abs(line.value - truth) < 1e-3

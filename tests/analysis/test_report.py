@@ -6,13 +6,15 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from analysis.observe.quality import sure_check
 from analysis.report import interval_words, row_of, table, to_json
 from analysis.review.words import result_words
+from analysis.tasks.base import Further
 from analysis.tuning import Options, tune_log
-from tests.conftest import record
+from tests.conftest import ROOT, record
 
 
 def test_the_json_has_the_contracts_keys(drop_log: Path):
@@ -108,3 +110,20 @@ def test_a_failed_check_shows_by_how_much(half: float, shown: str):
     assert check.passed == (half < 0.02)
     assert shown in check.detail
     assert "(at most 0.02)" in check.detail
+
+
+def test_where_a_check_fails_nothing_has_an_interval():
+    path = ROOT / "sample_logs" / "noisy.mcap"
+    tuning = tune_log(path, Options())
+    assert tuning.refined is not None
+    beside = Further("payload_com", "m", np.zeros(3), np.zeros((3, 2)))
+    first = replace(tuning.checks[0], passed=False)
+    doubted = replace(
+        tuning,
+        refined=replace(tuning.refined, further=(beside,)),
+        checks=(first, *tuning.checks[1:]),
+        verdict="suspect",
+    )
+    parameters = json.loads(to_json(doubted))["parameters"]
+    assert parameters["restitution"]["interval95"] is None
+    assert parameters["payload_com"]["interval95"] is None

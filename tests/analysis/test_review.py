@@ -37,9 +37,15 @@ def contents(path: Path) -> dict[str, set[str]]:
     return found
 
 
-@pytest.fixture
-def tuned(drop_log: Path) -> Tuning:
-    return tune_log(drop_log, Options())
+@pytest.fixture(scope="module")
+def tuned(tmp_path_factory: pytest.TempPathFactory) -> Tuning:
+    path = tmp_path_factory.mktemp("drop") / "drop.mcap"
+    return tune_log(record(path, restitution=0.7, height_m=1.0), Options())
+
+
+@pytest.fixture(scope="module")
+def filmed(filmed_log: Path) -> Tuning:
+    return tune_log(filmed_log, Options())
 
 
 def test_every_iteration_lies_on_the_logs_time(tuned: Tuning, tmp_path: Path):
@@ -138,20 +144,18 @@ def test_the_papers_rollouts_lie_over_the_observed_curve_too(tmp_path: Path):
     assert np.sqrt(np.mean(off**2)) < 0.1
 
 
-def test_a_film_lies_under_its_balls_on_the_logs_time(filmed_log: Path, tmp_path: Path):
-    tuning = tune_log(filmed_log, Options())
-    write_review(tuning, tmp_path / "a.rrd")
+def test_a_film_lies_under_its_balls_on_the_logs_time(filmed: Tuning, tmp_path: Path):
+    write_review(filmed, tmp_path / "a.rrd")
     verified(tmp_path / "a.rrd")
     entities = contents(tmp_path / "a.rrd")
     for place in ("picture", "observed", "trail", *(f"k{k}" for k in range(6))):
         assert entities[f"/film/{place}"] == {"static", "log_time_s"}, place
-    pictures = [frame.data for frame in tuning.episode.frames()]  # type: ignore[union-attr]
+    pictures = [frame.data for frame in filmed.episode.frames()]  # type: ignore[union-attr]
     assert (tmp_path / "a.rrd").stat().st_size > 0.9 * sum(map(len, pictures))
 
 
-def test_the_simulated_balls_are_projected_onto_the_observed_one(filmed_log: Path):
-    tuning = tune_log(filmed_log, Options())
-    film, story = tuning.found.film, story_of(tuning)
+def test_the_simulated_balls_are_projected_onto_the_observed_one(filmed: Tuning):
+    film, story = filmed.found.film, story_of(filmed)
     places = film.track.places_px[film.used]
     late = film.drop.seconds > story.impact_s + 0.1
     first, last = (

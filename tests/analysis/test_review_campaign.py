@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +12,7 @@ from analysis.cli.review import main
 from tests.analysis import campaigns
 from tests.analysis.campaigns import MINUTE_NS, START_NS
 from tests.analysis.test_review import contents, verified
-from tests.conftest import ROOT, film
+from tests.conftest import ROOT, Command, film
 from tunenet_logs.images import decode_image
 
 STATES = ("/1_ball", "/2_drop", "/3_tuning", "/4_shot", "/5_outcome")
@@ -35,11 +33,21 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+Reviewed = tuple[Path, str]
+
+
 @pytest.fixture(scope="module")
-def review(campaign: Path) -> Path:
+def reviewed(campaign: Path, command: Command) -> Reviewed:
+    """The review, and what the command printed."""
     path = campaign / "review.rrd"
-    assert main([str(campaign), "-o", str(path), "--quiet", "--jobs", "2"]) == 0
-    return path
+    done = command("tunenet-review", campaign, "-o", path, "--quiet", "--jobs", 1)
+    assert done.returncode == 0, done.stderr
+    return path, done.stdout
+
+
+@pytest.fixture(scope="module")
+def review(reviewed: Reviewed) -> Path:
+    return reviewed[0]
 
 
 def rows(path: Path, entity: str, timeline: str, component: str) -> list[tuple]:
@@ -98,10 +106,9 @@ def test_its_video_is_small_and_slow(review: Path):
     assert np.diff(at_s).min() > 0.9 / 30
 
 
-def test_the_tables_hold_the_rates(review: Path, capsys: pytest.CaptureFixture):
+def test_the_tables_hold_the_rates(reviewed: Reviewed):
+    review, said = reviewed
     assert {"static"} <= contents(review)["/summary"]
-    assert main([str(review.parent), "-o", str(review), "--quiet", "--jobs", "1"]) == 0
-    said = capsys.readouterr().out
     assert "1/3 = 33 % (95 %: 6 to 79 %)   paper 62 %" in said
     assert "1/2 = 50 % (95 %: 9 to 91 %)   paper 87 %" in said
     assert "restitution 0.71" in said
@@ -116,12 +123,9 @@ def test_the_wall_clock_is_there_where_stamps_are(tmp_path: Path):
     assert (ended - begun).total_seconds() == pytest.approx(60, abs=1)
 
 
-def test_outcomes_alone_are_a_campaign(tmp_path: Path):
+def test_outcomes_alone_are_a_campaign(command: Command, tmp_path: Path):
     (tmp_path / "today.csv").write_text("ball,success\nred gel,yes\nred gel,no\n/a b,yes\n")
-    words = [sys.executable, "-m", "analysis.cli.review", "today.csv", "-o", "today.rrd"]
-    result = subprocess.run(
-        words, cwd=tmp_path, capture_output=True, text=True, env={"PYTHONPATH": str(ROOT)}
-    )
+    result = command("tunenet-review", "today.csv", "-o", "today.rrd", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     assert "2/3 = 67 %" in result.stdout
     assert not result.stderr

@@ -199,6 +199,7 @@ def test_a_shot_depends_on_its_seed_and_number_alone():
     assert all(other.ball.restitution != one.ball.restitution for other in others)
 
 
+@pytest.mark.slow
 def test_good_tracks_are_tuned_to_their_truth():
     errors = []
     for number in range(8):

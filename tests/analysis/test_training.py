@@ -17,10 +17,13 @@ QUIET = Progress(quiet=True)
 PRESETS = TASKS["drop"].presets
 
 
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(one, marks=[pytest.mark.slow] * (one != "default")) for one in PRESETS],
+)
 def test_a_short_training_beats_no_training(name: str):
     preset = PRESETS[name]
-    pairs = preset.make_pairs(300, 0, 1, QUIET)
+    pairs = preset.make_pairs(100, 0, 1, QUIET)
     recipe = replace(preset.recipe, epochs=40)
     model = train(preset.network, pairs, recipe, 0, QUIET)
     fresh = preset.make_pairs(100, 99, 1, QUIET)
@@ -32,7 +35,7 @@ def test_a_short_training_beats_no_training(name: str):
 
 def test_a_short_training_on_films_beats_no_training():
     preset = TASKS["drop-video"].presets["default"]
-    pairs = preset.make_pairs(120, 0, 2, QUIET)
+    pairs = preset.make_pairs(24, 0, 1, QUIET)
     assert np.isfinite(pairs.observations[pairs.target]).any(axis=(1, 2)).all()
     assert set(pairs.proposed.tolist()).isdisjoint(pairs.target.tolist())
     model = train(preset.network, pairs, replace(preset.recipe, epochs=60), 0, QUIET)

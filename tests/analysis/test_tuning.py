@@ -13,7 +13,7 @@ from analysis.tasks.base import Selection
 from analysis.tuning import Options, Tuning, tune_log
 from recorders.session import record_episode
 from recorders.simulated_drop import DropOrder, simulate_drop
-from tests.conftest import record
+from tests.conftest import ROOT, record
 from tests.strangers import Stranger, bounce_heights, write_poses
 from tunenet_logs.episode import Episode, EpisodeInfo
 from tunenet_logs.progress import Progress
@@ -24,6 +24,21 @@ def value(tuning: Tuning) -> float:
     return float(tuning.estimate[0])
 
 
+@pytest.mark.parametrize(
+    ("restitution", "height_m", "radius_m", "rate_hz"),
+    [(0.12, 4.8, 0.3, 60.0), (0.55, 0.35, 0.02, 240.0), (0.93, 1.7, 0.1, 97.0)],
+)
+def test_a_fresh_drop_is_found_to_four_digits(
+    tmp_path: Path, restitution: float, height_m: float, radius_m: float, rate_hz: float
+):
+    order = {"height_m": height_m, "radius_m": radius_m, "rate_hz": rate_hz}
+    path = record(tmp_path / "a.mcap", restitution=restitution, **order)
+    tuning = tune_log(path, Options())
+    assert tuning.verdict == "ok", tuning.reason
+    assert value(tuning) == pytest.approx(restitution, abs=1e-4)
+
+
+@pytest.mark.slow
 def test_fresh_drops_of_any_height_rate_and_ball(tmp_path: Path):
     """The figure to hold: mean absolute error .002, median .0005 over 200; seen: below 1e-5."""
     rng = np.random.default_rng(20_001)
@@ -44,7 +59,25 @@ def test_fresh_drops_of_any_height_rate_and_ball(tmp_path: Path):
     assert np.median(off) < 5e-5
 
 
-def test_a_strangers_noisy_logs_held_before_the_release(tmp_path: Path):
+@pytest.mark.parametrize(
+    "stranger",
+    [
+        Stranger(restitution=0.15, gap_m=4.5, rate_hz=65, hold_s=0.3, table_m=-0.8, seed=1),
+        Stranger(restitution=0.5, gap_m=1.2, rate_hz=120, hold_s=1.1, table_m=0.0, seed=2),
+        Stranger(restitution=0.9, gap_m=0.35, rate_hz=230, hold_s=1.9, table_m=0.9, seed=3),
+    ],
+    ids=["high", "middle", "low"],
+)
+def test_a_strangers_noisy_log_costs_little(tmp_path: Path, stranger: Stranger):
+    stamps, positions = replace(stranger, seconds=6.0).samples()
+    write_poses(tmp_path / "a.mcap", stamps, positions, topic="/any/1")
+    tuning = tune_log(tmp_path / "a.mcap", Options())
+    assert tuning.found.topic == "/any/1"
+    assert value(tuning) == pytest.approx(stranger.restitution, abs=0.003)
+
+
+@pytest.mark.slow
+def test_strangers_noisy_logs_held_before_the_release(tmp_path: Path):
     """The figure to hold: mean absolute error .003 over 40 with 1 mm of noise; seen: .0002."""
     rng = np.random.default_rng(20_002)
     off = []
@@ -153,3 +186,11 @@ def test_the_first_of_several_drops_is_used_and_the_window_can_be_chosen(tmp_pat
     assert any("2 drops" in warning for warning in first.warnings)
     later = Options(selection=Selection(start_s=5.5))
     assert value(tune_log(tmp_path / "a.mcap", later)) == pytest.approx(0.8, abs=0.002)
+
+
+def test_where_the_cross_check_disagrees_no_interval_is_given():
+    tuning = tune_log(ROOT / "sample_logs" / "noisy.mcap", Options())
+    assert tuning.cross_check is not None
+    assert tuning.interval95 is not None
+    other = replace(tuning.cross_check, agrees=False)
+    assert replace(tuning, cross_check=other).interval95 is None

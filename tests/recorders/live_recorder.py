@@ -1,8 +1,9 @@
 """A camera at 60 Hz and an arm at 1 kHz, recorded in a process that may be ended at any moment.
 
 `python -m tests.recorders.live_recorder FOLDER TOPIC...` records FOLDER/a.mcap until a signal ends
-it. In FOLDER/progress it keeps how many messages of each stream it has put, and when the last one
-was. What a message holds follows from its number alone.
+it. In FOLDER/progress it keeps how many messages of each stream it has put, when the last one was,
+and how many of all streams were acknowledged as written by then. What a message holds follows from
+its number alone.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ JOINTS = "/joint_states"
 NAMES = tuple(f"joint_{number}" for number in range(1, 8))
 RATES_HZ = {PICTURES: 60.0, JOINTS: 1000.0}
 _DISTINCT = 4
-_SLOTS = 2
+_SLOTS = 3
 
 
 @cache
@@ -59,7 +60,10 @@ def joints_of(number: int) -> np.ndarray:
 
 
 class Progress:
-    """What was put, in a file that outlives the process: (count, last stamp [ns]) of each topic."""
+    """What was put, in a file that outlives the process.
+
+    Of each topic (count, last stamp [ns], acknowledged messages of all topics by then).
+    """
 
     def __init__(self, path: Path) -> None:
         size = 8 * _SLOTS * len(RATES_HZ)
@@ -70,7 +74,7 @@ class Progress:
         self._table = np.frombuffer(self._map, np.int64).reshape(len(RATES_HZ), _SLOTS)
 
     def row(self, topic: str) -> np.ndarray:
-        """Count and last stamp [ns] of a topic, shared with whoever has the file open."""
+        """The row of a topic, shared with whoever has the file open."""
         return self._table[list(RATES_HZ).index(topic)]
 
 
@@ -87,7 +91,7 @@ def put(recording: LiveRecording, topic: str, progress: Progress) -> None:
             is_on = recording.put_joints(topic, stamp_ns, NAMES, *joints_of(number))
         if is_on:
             number += 1
-            row[:] = number, stamp_ns
+            row[:] = number, stamp_ns, recording.written
 
 
 def main() -> int:
@@ -136,11 +140,13 @@ class Found:
         messages: in the log.
         wrong: those that are not what their number says, in order from 0.
         last_ns: stamp of the last one.
+        received_ns: when that was received.
     """
 
     messages: int = 0
     wrong: int = 0
     last_ns: int = 0
+    received_ns: int = 0
 
 
 def found_in(log: Path) -> dict[str, Found]:
@@ -159,16 +165,20 @@ def found_in(log: Path) -> dict[str, Found]:
                     channel = channels[record.channel_id]
                     before = found[channel.topic]
                     type_name = schemas[channel.schema_id].name
-                    stamp_ns, is_right = _judge(record, type_name, before.messages)
+                    stamp_ns, is_right = _judge(record, type_name, before)
                     found[channel.topic] = Found(
-                        before.messages + 1, before.wrong + (not is_right), stamp_ns
+                        before.messages + 1,
+                        before.wrong + (not is_right),
+                        stamp_ns,
+                        record.log_time,
                     )
         except Exception:  # noqa: BLE001 (the end of a log that was cut; what counts is above)
             pass
     return found
 
 
-def _judge(record: Message, type_name: str, number: int) -> tuple[int, bool]:
+def _judge(record: Message, type_name: str, before: Found) -> tuple[int, bool]:
+    number = before.messages
     try:
         message: Any = messages.typestore().deserialize_cdr(record.data, type_name)
     except SerdeError:
@@ -179,8 +189,9 @@ def _judge(record: Message, type_name: str, number: int) -> tuple[int, bool]:
     else:
         values = np.array([message.position, message.velocity, message.effort])
         is_right = tuple(message.name) == NAMES and np.array_equal(values, joints_of(number))
-    late_ns = record.log_time - stamp_ns
-    is_right &= record.publish_time == stamp_ns and 0 <= late_ns < 1_000_000_000
+    # The one before was received before this one was made.
+    is_right &= before.received_ns <= stamp_ns <= record.log_time
+    is_right &= record.publish_time == stamp_ns
     return stamp_ns, is_right and record.sequence == number + 1
 
 
@@ -188,13 +199,16 @@ def missing_s(folder: Path, log: Path) -> float:
     """Check a killed recording; the data that it lacks at its end, in the worse stream [s].
 
     Raises:
-        AssertionError: a message is wrong, or what our reader gives is not what is there.
+        AssertionError: a message is wrong, one that was acknowledged is missing, or what our reader
+            gives is not what is there.
     """
     progress, found = Progress(folder / "progress"), found_in(log)
     check_killed_file(log, found)
+    acknowledged = max(int(progress.row(topic)[2]) for topic in found)
+    assert sum(one.messages for one in found.values()) >= acknowledged
     worst_s = 0.0
     for topic, one in found.items():
-        count, last_ns = (int(value) for value in progress.row(topic))
+        count, last_ns, _ = (int(value) for value in progress.row(topic))
         assert one.wrong == 0, f"{one.wrong} of {one.messages} messages on {topic} are wrong"
         assert one.messages <= count + 1
         if count > one.messages:
@@ -214,9 +228,12 @@ def check_killed_file(log: Path, found: dict[str, Found]) -> None:
     if not total:
         return
     saved = log.with_name("saved.mcap")
-    assert recover(log, saved, overwrite=True).messages == total
+    recovered = recover(log, saved, overwrite=True).messages
+    assert recovered >= total  # of a chunk that was cut while it was written, some are saved, too
+    again = found_in(saved).values()
+    assert (sum(one.messages for one in again), sum(one.wrong for one in again)) == (recovered, 0)
     with saved.open("rb") as file:
-        assert sum(1 for _ in make_reader(file, validate_crcs=True).iter_messages()) == total
+        assert sum(1 for _ in make_reader(file, validate_crcs=True).iter_messages()) == recovered
     words = [Path(sys.executable).with_name("rerun"), "mcap", "convert", saved]
     subprocess.run(
         [*words, "-o", log.with_name("saved.rrd")], check=True, capture_output=True, timeout=60

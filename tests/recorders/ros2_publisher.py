@@ -2,11 +2,13 @@
 
 `python -m tests.recorders.ros2_publisher DOMAIN '{"messages": 3000, ...}'` waits until every topic
 is received, publishes so many messages on each at a rate, and stays until it is ended. It says
-"matched" and "sent". A topic has a publisher for each kind of message that is named, in that order.
-What a message holds follows from its number. The types are written down here again, not imported:
-the recorder's could be wrong.
+"matched" and "sent". Before the messages named in "pauses" it says "at" and waits for a line. With
+"eager" it waits for nobody and has no last message. A topic has a publisher for each kind of
+message that is named, in that order. What a message holds follows from its number. The types are
+written down here again, not imported: the recorder's could be wrong.
 """
 
+import itertools
 import json
 import signal
 import subprocess
@@ -27,13 +29,15 @@ from cyclonedds.pub import DataWriter
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
+from tests.recorders.live_wait import ending
+
 ROOT = Path(__file__).resolve().parents[2]
 _KEPT = 1000
 """Messages that are sent again to who missed them; with the usual 10 a busy machine misses some."""
 NAMES = tuple(f"j2s7s300_joint_{number}" for number in range(1, 8))
 TORQUES = "/arm/out/joint_torques"
 STATES = "/joint_states"
-_LONGEST_S = 60
+_LONGEST_S = 240
 """A publisher that nobody hears ends then, so that its test fails and does not hang."""
 _LOOPBACK = """<CycloneDDS><Domain><General>{multicast}<Interfaces>
 <NetworkInterface address="127.0.0.1"/></Interfaces></General><Discovery>
@@ -89,6 +93,7 @@ TYPES: dict[str, type[IdlStruct]] = {
     "angles": JointAngles,
     "gripper": JointState,
     "text": Text,
+    "xcdr2": JointState,
 }
 
 
@@ -106,7 +111,7 @@ def message_of(kind: str, number: int, stamp_ns: int) -> Any:
     if kind == "gripper":
         finger: list[Any] = [["finger"], [number / 1024], [], []]
         return JointState(Header(Stamp(*divmod(stamp_ns, 1_000_000_000)), "hand"), *finger)
-    names = list(NAMES) if kind == "states" else []
+    names = [] if kind == "nameless" else list(NAMES)
     parts: list[Any] = [names, *values_of(number)]
     return JointState(Header(Stamp(*divmod(stamp_ns, 1_000_000_000)), "base"), *parts)
 
@@ -118,7 +123,7 @@ def writer_of(participant: DomainParticipant, topic: str, kind: str, plan: dict)
         if plan.get("reliable", True)
         else Policy.Reliability.BestEffort
     )
-    is_new = plan.get("xcdr2", False)
+    is_new = kind == "xcdr2"
     qos = Qos(
         reliability,
         Policy.Durability.Volatile,
@@ -143,12 +148,16 @@ def main() -> None:
         for kind in kinds.split()
     ]
     print("ready", flush=True)
-    while any(not one.get_publication_matched_status().current_count for _, one in writers):
+    listeners = 0 if plan.get("eager") else plan.get("listeners", 1)
+    while any(one.get_publication_matched_status().current_count < listeners for _, one in writers):
         time.sleep(0.005)
     print("matched", flush=True)
     start, period_s = time.monotonic(), 1 / plan.get("rate_hz", 1000.0)
     first_ns = time.time_ns()
-    for number in range(plan["messages"]):
+    for number in itertools.count() if plan.get("eager") else range(plan["messages"]):
+        if number in plan.get("pauses", ()):
+            print(f"at {number}", flush=True)
+            sys.stdin.readline()
         time.sleep(max(0.0, start + number * period_s - time.monotonic()))
         stamp_ns = first_ns + round(number * period_s * 1e9)
         for kind, writer in writers:
@@ -165,13 +174,17 @@ def main() -> None:
 def publishing(domain: int, **plan: Any) -> Iterator[subprocess.Popen[str]]:
     """A publisher that is there, though not heard yet."""
     words = [sys.executable, "-m", "tests.recorders.ros2_publisher", str(domain), json.dumps(plan)]
-    process = subprocess.Popen(words, cwd=ROOT, stdout=subprocess.PIPE, text=True)
-    try:
+    pipe = subprocess.PIPE
+    with ending(subprocess.Popen(words, cwd=ROOT, stdin=pipe, stdout=pipe, text=True)) as process:
         expect(process, "ready")
         yield process
-    finally:
-        process.kill()
-        process.wait()
+
+
+def go_on(process: subprocess.Popen[str]) -> None:
+    """End a pause of a publisher."""
+    assert process.stdin is not None
+    process.stdin.write("\n")
+    process.stdin.flush()
 
 
 def expect(process: subprocess.Popen[str], word: str) -> list[str]:

@@ -6,13 +6,15 @@ import socket
 import subprocess
 import sys
 import threading
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
 
 from recorders.camera.capture import Limits, record_camera
 from tests.conftest import Command
+from tests.recorders.live_wait import LAST_RESORT_S
 from tests.recorders.mjpeg_camera import picture, playing
 from tests.recorders.test_mjpeg_stream import QUIET, numbers, record
 from tunenet_logs.episode import EpisodeInfo, Frame
@@ -21,13 +23,15 @@ from tunenet_logs.reader import read_episode
 
 pytestmark = pytest.mark.live
 
+CAMERA = ("tunenet-record", "--stall", LAST_RESORT_S, "--camera")
+
 
 def test_user_and_password_are_sent_and_never_shown(command: Command, tmp_path: Path):
-    with playing(frames=20, user="me:se cret") as address:
+    with playing(frames=20, rate_hz=500.0, user="me:se cret") as address:
         url = f"http://me:se%20cret@{address}?pwd=hidden"
-        good = command("tunenet-record", "--camera", url, "-o", "a.mcap", cwd=tmp_path)
-        wrong = command("tunenet-record", "--camera", url.replace("me:", "you:"), cwd=tmp_path)
-        without = command("tunenet-record", "--camera", f"http://{address}", cwd=tmp_path)
+        good = command(*CAMERA, url, "-o", "a.mcap", cwd=tmp_path)
+        wrong = command(*CAMERA, url.replace("me:", "you:"), cwd=tmp_path)
+        without = command(*CAMERA, f"http://{address}", cwd=tmp_path)
     assert good.returncode == 0, good.stderr
     for result in (wrong, without):
         assert result.returncode == 1
@@ -50,16 +54,14 @@ def test_user_and_password_are_sent_and_never_shown(command: Command, tmp_path: 
         ({"kind": "text/html", "body": "<html>hello</html>"}, "text/html"),
         ({"kind": "image/jpeg", "body": "x"}, "image/jpeg"),
         ({"kind": "multipart/x-mixed-replace; boundary=frame", "body": "x" * 999}, "no frame came"),
-        ({"cut_every": 1, "frames": 12}, "12 parts were no whole JPEG"),
-        ({"stall_after": 0, "slow_start_s": 60.0}, "no frame came"),
+        ({"cut_every": 1, "frames": 12, "rate_hz": 500.0}, "12 parts were no whole JPEG"),
     ],
 )
 def test_what_is_no_stream_is_one_line_and_leaves_no_file(
     command: Command, tmp_path: Path, plan: dict[str, object], says: str
 ):
     with playing(**plan) as address:
-        words = ("tunenet-record", "--camera", f"http://{address}", "--stall", 1)
-        result = command(*words, cwd=tmp_path)
+        result = command(*CAMERA, f"http://{address}", cwd=tmp_path)
     assert result.returncode == 1
     assert result.stderr.count("\n") == 1
     assert says in result.stderr
@@ -67,17 +69,30 @@ def test_what_is_no_stream_is_one_line_and_leaves_no_file(
     assert not list(tmp_path.iterdir())
 
 
-def closed_port() -> int:
+def test_how_long_a_camera_may_be_silent_is_an_option(command: Command, tmp_path: Path):
+    with playing(slow_start_s=3600.0) as address:
+        words = ("tunenet-record", "--camera", f"http://{address}", "--stall", 0.5)
+        result = command(*words, cwd=tmp_path)
+    assert result.returncode == 1
+    assert result.stderr.count("\n") == 1
+    assert address in result.stderr
+    assert "0.5 s" in result.stderr  # for which it sent no frame, or did not even answer
+    assert not list(tmp_path.iterdir())
+
+
+@contextmanager
+def closed_port() -> Iterator[int]:
+    """A port that nobody else gets meanwhile, and where nobody listens."""
     with socket.socket() as one:
         one.bind(("127.0.0.1", 0))
-        return one.getsockname()[1]
+        yield one.getsockname()[1]
 
 
 @pytest.mark.parametrize(
     ("source", "code"),
     [
-        (f"http://127.0.0.1:{closed_port()}/video", 1),
-        (f"rtsp://me:secret@127.0.0.1:{closed_port()}/video", 1),
+        ("http://127.0.0.1:PORT/video", 1),
+        ("rtsp://me:secret@127.0.0.1:PORT/video", 1),
         ("http://", 2),
         ("http://me:secret@host:port/", 2),
         ("http://host/a path", 2),
@@ -87,7 +102,8 @@ def closed_port() -> int:
 def test_an_address_that_does_not_answer_is_one_line(
     command: Command, tmp_path: Path, source: str, code: int
 ):
-    result = command("tunenet-record", "--camera", source, cwd=tmp_path)
+    with closed_port() as port:
+        result = command(*CAMERA, source.replace("PORT", str(port)), cwd=tmp_path)
     assert result.returncode == code
     assert result.stderr.count("\n") == 1
     assert "secret" not in result.stderr
@@ -125,7 +141,7 @@ STREAM = b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=
 )
 def test_nonsense_is_one_clear_error(tmp_path: Path, answer: bytes):
     with pytest.raises(CameraError, match=r"127\.0\.0\.1"):
-        record(answering_once(answer), tmp_path / "a.mcap", stall_s=2.0)
+        record(answering_once(answer), tmp_path / "a.mcap")
     assert not list(tmp_path.iterdir())
 
 
@@ -169,7 +185,7 @@ def test_a_failure_in_the_reading_thread_reaches_the_user(tmp_path: Path):
             Breaks(),
             EpisodeInfo(),
             tmp_path / "a.mcap",
-            limits=Limits(),
+            limits=Limits(stall_s=LAST_RESORT_S),
             overwrite=False,
             progress=QUIET,
         )
@@ -178,7 +194,7 @@ def test_a_failure_in_the_reading_thread_reaches_the_user(tmp_path: Path):
 
 def test_a_log_that_exists_stays(tmp_path: Path):
     (tmp_path / "a.mcap").write_bytes(b"mine")
-    with playing(frames=20) as address, pytest.raises(LogError, match="--overwrite"):
+    with playing() as address, pytest.raises(LogError, match="--overwrite"):
         record(address, tmp_path / "a.mcap")
     assert (tmp_path / "a.mcap").read_bytes() == b"mine"
 
@@ -189,11 +205,14 @@ import resource, signal, sys
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (600_000, 600_000))
 from recorders.cli import main
-sys.exit(main(["--camera", sys.argv[1], "-o", "a.mcap"]))
+sys.exit(main([*sys.argv[1:], "-o", "a.mcap"]))
 """
-    with playing(frames=900) as address:
-        words = [sys.executable, "-c", code, f"http://{address}"]
-        result = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    with playing(frames=100_000, rate_hz=200.0, distinct=60) as address:
+        words = [sys.executable, "-c", code, *(str(one) for one in CAMERA[1:])]
+        result = subprocess.run(
+            [*words, f"http://{address}"],
+            cwd=tmp_path, capture_output=True, text=True, timeout=LAST_RESORT_S,
+        )  # fmt: skip
     assert result.returncode == 1
     assert "writing failed" in result.stderr
     assert result.stderr.count("\n") == 1

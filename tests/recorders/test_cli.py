@@ -13,8 +13,8 @@ from tunenet_logs.errors import UsageError
 from tunenet_logs.reader import read_episode
 
 
-def test_records_what_was_asked_for(command: Command, tmp_path: Path):
-    result = command(
+def test_records_what_was_asked_for(process: Command, tmp_path: Path):
+    result = process(
         "tunenet-record", "--simulate", "drop", "--restitution", 0.55, "--height", 1.4,
         "--radius", 0.02, "--rate", 120, "--seconds", 2, "--hold", 0.5, "-o", "a.mcap",
         cwd=tmp_path,

@@ -25,32 +25,50 @@ from tests.recorders.live_recorder import (
     missing_s,
     started,
 )  # fmt: skip
+from tests.recorders.live_wait import LAST_RESORT_S, ending, wait_until
 from tunenet_logs import messages
+from tunenet_logs.clock import now_ns
 from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.errors import LogError
 from tunenet_logs.reader import read_episode
 
 pytestmark = pytest.mark.live
+slow = pytest.mark.slow
 
 INFO = EpisodeInfo(kind="test")
 
 
-@pytest.mark.parametrize("seconds", [0.3, 0.45, 0.7, 1.05, 1.3, 1.55])
-def test_killed_it_lacks_the_last_moments_at_most(tmp_path: Path, seconds: float):
-    process = started(tmp_path)
-    time.sleep(seconds)
-    process.kill()
-    process.communicate()
-    assert missing_s(tmp_path, tmp_path / "a.mcap.active") < 1.0  # benchmarks/durability.py: 0.3
+def wait_for_joints(folder: Path, count: int) -> None:
+    """Wait until a recorder has put so many states of the arm."""
+    row = Progress(folder / "progress").row(JOINTS)
+    wait_until(lambda: row[0] >= count, f"{count} states of the arm")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("seconds", [0.0, 0.35])
-def test_a_signal_ends_it_whole_and_every_count_agrees(tmp_path: Path, number: int, seconds: float):
-    process = started(tmp_path)
-    time.sleep(seconds)
-    process.send_signal(number)
-    said, _ = process.communicate(timeout=20)
+@pytest.mark.parametrize(
+    "joints", [100, 400, 1000, *(pytest.param(one, marks=slow) for one in (1, 250, 1500))]
+)
+def test_killed_it_has_all_that_was_acknowledged(tmp_path: Path, joints: int):
+    with ending(started(tmp_path)) as process:
+        wait_for_joints(tmp_path, joints)
+        process.kill()
+        process.communicate()
+    missing_s(tmp_path, tmp_path / "a.mcap.active")
+
+
+@pytest.mark.parametrize(
+    ("number", "joints"),
+    [
+        (signal.SIGINT, 0),
+        (signal.SIGTERM, 250),
+        pytest.param(signal.SIGTERM, 0, marks=slow),
+        pytest.param(signal.SIGINT, 250, marks=slow),
+    ],
+)
+def test_a_signal_ends_it_whole_and_every_count_agrees(tmp_path: Path, number: int, joints: int):
+    with ending(started(tmp_path)) as process:
+        wait_for_joints(tmp_path, joints)
+        process.send_signal(number)
+        said, _ = process.communicate(timeout=LAST_RESORT_S)
     assert process.returncode == 0
     check_whole_file(tmp_path / "a.mcap", said)
     progress = Progress(tmp_path / "progress")
@@ -60,13 +78,27 @@ def test_a_signal_ends_it_whole_and_every_count_agrees(tmp_path: Path, number: i
     }
 
 
-def test_what_was_put_is_on_disk_although_nothing_more_comes(tmp_path: Path):
+def test_after_a_tenth_of_a_second_it_is_on_disk_although_nothing_more_comes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    class Clock:
+        """The writer's, which the test turns."""
+
+        now_s = 0.0
+
+        def monotonic(self) -> float:
+            return self.now_s
+
+    clock = Clock()
+    monkeypatch.setattr("tunenet_logs.writer.time", clock)
     with LiveRecording(tmp_path / "a.mcap", INFO) as recording:
-        recording.put_joints(JOINTS, 7, NAMES, *joints_of(0))
-        while not recording.written:
-            time.sleep(0.01)
-        found = found_in(tmp_path / "a.mcap.active")
-        assert found[JOINTS].messages == 1
+        for number in range(3):
+            recording.put_joints(JOINTS, now_ns(), NAMES, *joints_of(number))
+            wait_until(lambda: recording._writer.accepted == recording.captured, "it is taken")
+            clock.now_s += 0.101
+            wait_until(lambda: recording.written == recording.captured, "it is on disk")
+            found = found_in(tmp_path / "a.mcap.active")[JOINTS]
+            assert (found.messages, found.wrong) == (number + 1, 0)
 
 
 def test_any_message_that_is_encoded_already_goes_in_as_it_is(tmp_path: Path):
@@ -94,8 +126,8 @@ def test_the_first_write_error_ends_it_and_says_how_much_is_kept(tmp_path: Path)
     with files_no_larger_than(500_000):
         while recording.put_frame(PICTURES, Frame(1 + number, "jpeg", frame_of(number))):
             number += 1
-            time.sleep(0.001)
-        assert recording.wait(20)
+            time.sleep(0.001)  # as a camera does
+        assert recording.wait(LAST_RESORT_S)
     with pytest.raises(LogError, match=r"writing failed .* kept in a\.mcap") as caught:
         recording.close()
     episode = read_episode(tmp_path / "a.mcap")
@@ -111,12 +143,15 @@ def test_the_first_write_error_ends_it_and_says_how_much_is_kept(tmp_path: Path)
 
 def test_what_comes_too_fast_is_dropped_and_counted_by_topic(tmp_path: Path):
     recording = LiveRecording(tmp_path / "a.mcap", INFO, queue_bytes=100_000)
-    for number in range(300):
+    number = 0
+    while recording.dropped < 100:
         recording.put_frame(PICTURES, Frame(1 + number, "jpeg", frame_of(number)))
         recording.put_joints(JOINTS, 1 + number, NAMES, *joints_of(number))
+        number += 1
+        assert number < 100_000
     summary = recording.close()
     counts = read_episode(tmp_path / "a.mcap").info.counts
-    assert summary.captured == 600 == summary.written + summary.dropped
+    assert summary.captured == 2 * number == summary.written + summary.dropped
     assert summary.dropped == sum(counts.get(f"dropped.{one}", 0) for one in (PICTURES, JOINTS))
     assert counts[f"dropped.{PICTURES}"] > 0
     found = found_in(tmp_path / "a.mcap")
@@ -154,7 +189,7 @@ def test_a_queue_that_must_not_drop_makes_the_source_wait():
     queue: TopicQueue[int] = TopicQueue(100, drops=False)
 
     def fill() -> None:
-        for index in range(50):
+        for index in range(10):
             queue.put("/a", index, index, 60)
         queue.close()
 
@@ -167,8 +202,9 @@ def test_a_queue_that_must_not_drop_makes_the_source_wait():
             queue.pause()
         else:
             seen.append(item.payload)
+            assert queue.captured <= len(seen) + 1  # the next one, at most, waits inside
     thread.join()
-    assert seen == list(range(50))
+    assert seen == list(range(10))
     assert queue.dropped == 0
 
 

@@ -46,12 +46,32 @@ def test_a_tuning_says_restitution_and_log(command: Command, tmp_path: Path):
     assert outcome.stamp_ns == 1_795_357_800_000_000_000
 
 
+SIX_AT_ONCE = """
+import multiprocessing, sys
+from recorders.cli import main
+
+def record(begin):
+    begin.wait()
+    sys.exit(main(sys.argv[1:]))
+
+assert main(sys.argv[1:]) == 0
+fork = multiprocessing.get_context("fork")
+begin = fork.Barrier(6)
+running = [fork.Process(target=record, args=[begin]) for _ in range(6)]
+for one in running:
+    one.start()
+for one in running:
+    one.join()
+sys.exit(any(one.exitcode for one in running))
+"""
+
+
 def test_several_at_once_all_stay_and_none_has_anothers_number(tmp_path: Path):
-    words = [sys.executable, "-m", "recorders.cli", "--outcome", "success", "--ball", "b"]
-    running = [subprocess.Popen([*words, "-o", str(tmp_path)], cwd=ROOT) for _ in range(6)]
-    assert [one.wait(timeout=60) for one in running] == [0] * 6
-    assert [one.attempt for one in read_outcomes(tmp_path)] == [1, 2, 3, 4, 5, 6]
-    assert len(list(tmp_path.iterdir())) == 6
+    """Six processes that begin at the same moment, after a first outcome."""
+    words = ["--outcome", "success", "--ball", "b", "-o", str(tmp_path)]
+    subprocess.run([sys.executable, "-c", SIX_AT_ONCE, *words], cwd=ROOT, check=True, timeout=60)
+    assert [one.attempt for one in read_outcomes(tmp_path)] == [1, 2, 3, 4, 5, 6, 7]
+    assert len(list(tmp_path.iterdir())) == 7
 
 
 def test_a_correction_says_which_counts(command: Command, tmp_path: Path):

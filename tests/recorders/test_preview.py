@@ -4,23 +4,27 @@ from __future__ import annotations
 
 import json
 import subprocess
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from recorders.camera.preview import Preview
 from recorders.camera.sources import open_source
 from tests.conftest import BIN, Command
 from tests.pages import Page, assert_for_this_machine_alone
+from tests.recorders.live_wait import LAST_RESORT_S, ending, wait_until
 from tests.recorders.mjpeg_camera import number_in, picture, playing
+from tunenet_logs.clock import now_ns
 from tunenet_logs.episode import Frame
 from tunenet_logs.reader import read_episode
 
 pytestmark = pytest.mark.live
+
+DISTINCT = 60
 
 
 class PreviewPage(Page):
@@ -39,56 +43,60 @@ class PreviewPage(Page):
         return json.loads(body)
 
     def wait(self, frames: int) -> dict[str, Any]:
-        until = time.monotonic() + 20
-        while (state := self.state())["frames"] < frames:
-            assert time.monotonic() < until
-            time.sleep(0.02)
-        return state
+        wait_until(lambda: self.state()["frames"] >= frames, f"{frames} frames on the page")
+        return self.state()
 
 
 @contextmanager
-def previewing(folder: Path, **plan: object) -> Iterator[PreviewPage]:
-    with playing(**{"frames": 6000, "distinct": 600, **plan}) as address:
+def previewing(folder: Path) -> Iterator[PreviewPage]:
+    with playing(frames=100_000, rate_hz=100.0, distinct=DISTINCT) as address:
         words = [BIN / "tunenet-record", "--camera", f"http://{address}", "--preview"]
         process = subprocess.Popen(
-            [*words, "-o", "a.mcap"],
+            [*words, "--stall", str(LAST_RESORT_S), "-o", "a.mcap"],
             cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         )  # fmt: skip
-        try:
+        with ending(process):
             yield PreviewPage(process)
-        finally:
-            process.kill()
-            process.communicate()
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PreviewPage]:
+    """One at which nobody presses a button."""
+    with previewing(tmp_path_factory.mktemp("page")) as page:
+        page.wait(5)
+        yield page
 
 
 def test_from_aiming_to_a_log(tmp_path: Path):
+    started_ns = now_ns()
     with previewing(tmp_path) as page:
         code, html = page.ask("GET", "/")
         assert code == 200
         assert b"Record" in html
-        before = page.wait(40)
+        before = page.wait(20)
         assert not before["is_recording"]
-        assert before["rate_hz"] == pytest.approx(60, rel=0.2)
+        assert before["rate_hz"] > 0
         assert before["size_px"] == [320, 240]
         assert 0.4 < before["brightness"] < 0.8
         assert 0 <= before["blown_out"] < 0.1
         assert page.ask("POST", "/ball", json.dumps({"x": 100.25, "y": 60}))[0] == 204
         assert page.state()["ball_at_px"] == [100.25, 60]
         assert page.ask("POST", "/record")[0] == 204
-        assert page.wait(before["frames"] + 90)["is_recording"]
+        wait_until(lambda: page.state()["is_recording"], "the page records")
+        page.wait(page.state()["frames"] + 30)
         assert page.ask("POST", "/stop")[0] == 204
-        out, err = page.process.communicate(timeout=20)
+        out, err = page.process.communicate(timeout=LAST_RESORT_S)
     assert page.process.returncode == 0, err
     assert "stopped on the page" in out
     episode = read_episode(tmp_path / "a.mcap")
     numbers = [number_in(frame.decode()) for frame in episode.frames()]
-    assert numbers[0] >= 40  # nothing from before the button was pressed
-    assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+    assert numbers == [(numbers[0] + index) % DISTINCT for index in range(len(numbers))]
     counts = episode.info.counts
     assert counts["captured"] == counts["written"] == len(numbers) > 10
     assert episode.info.notes["ball_at_px"] == "100.2,60.0"
-    stamps = [frame.stamp_ns for frame in episode.frames()]
-    assert 0 < stamps[-1] - int(episode.info.notes["ball_at_stamp_ns"]) < 60e9
+    clicked_ns = int(episode.info.notes["ball_at_stamp_ns"])  # of the newest frame then
+    first_ns = next(episode.frames()).stamp_ns
+    assert started_ns < clicked_ns < first_ns  # nothing from before the button was pressed
 
 
 def test_figures_are_there_from_the_first_frame_on():
@@ -103,24 +111,45 @@ def test_figures_are_there_from_the_first_frame_on():
         preview.close()
 
 
-def test_the_picture_is_the_cameras_own(tmp_path: Path):
-    with previewing(tmp_path) as page:
-        source = open_source(page.url + "live")
-        frames = source.frames()
-        numbers = [number_in(next(frames).decode()) for _ in range(10)]
-        source.close()
-    assert numbers == sorted(numbers)
+def test_the_rate_is_that_of_the_latest_frames():
+    preview = Preview()
+    try:
+        periods_ns = [100_000_000] * 60 + [16_666_667] * 60
+        for stamp_ns in np.cumsum(periods_ns).tolist():
+            preview.show(Frame(stamp_ns, "jpeg", picture(1)), 0)
+        assert preview.state()["rate_hz"] == 60.0
+    finally:
+        preview.close()
+
+
+def test_a_slow_viewer_sees_the_newest_picture():
+    preview = Preview()
+    try:
+        preview.show(Frame(1, "jpeg", b"first"), 0)
+        seen = preview.pictures()
+        assert next(seen) == b"first"
+        for stamp_ns, data in ((2, b"missed"), (3, b"newest")):
+            preview.show(Frame(stamp_ns, "jpeg", data), 0)
+        assert next(seen) == b"newest"
+    finally:
+        preview.close()
+
+
+def test_the_picture_is_the_cameras_own(page: PreviewPage):
+    source = open_source(page.url + "live", timeout_s=LAST_RESORT_S)
+    shown = [frame for frame, _ in zip(source.frames(), range(10), strict=False)]
+    source.close()
+    assert {frame.data for frame in shown} <= {picture(number) for number in range(DISTINCT)}
+    assert len({frame.data for frame in shown}) > 1
     assert source.damaged == 0
 
 
-def test_it_is_for_this_machine_alone(tmp_path: Path):
-    with previewing(tmp_path) as page:
-        page.wait(5)
-        port = page.host.partition(":")[2]
-        assert page.ask("GET", "/state", Host=f"localhost:{port}")[0] == 200
-        refused = (("GET", "/"), ("GET", "/live"), ("POST", "/record"))
-        assert_for_this_machine_alone(page, refused)
-        assert not page.state()["is_recording"]
+def test_it_is_for_this_machine_alone(page: PreviewPage):
+    port = page.host.partition(":")[2]
+    assert page.ask("GET", "/state", Host=f"localhost:{port}")[0] == 200
+    refused = (("GET", "/"), ("GET", "/live"), ("POST", "/record"))
+    assert_for_this_machine_alone(page, refused)
+    assert not page.state()["is_recording"]
 
 
 @pytest.mark.parametrize(
@@ -135,13 +164,6 @@ def test_a_click_that_is_none_is_refused(page: PreviewPage, body: str):
     assert page.state()["ball_at_px"] is None
 
 
-@pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PreviewPage]:
-    with previewing(tmp_path_factory.mktemp("page")) as page:
-        page.wait(5)
-        yield page
-
-
 @pytest.mark.parametrize(
     ("method", "path"), [("GET", "/../cli.py"), ("GET", "/nix"), ("POST", "/"), ("POST", "/nix")]
 )
@@ -153,7 +175,7 @@ def test_stopped_before_recording_it_leaves_no_log(tmp_path: Path):
     with previewing(tmp_path) as page:
         page.wait(5)
         page.ask("POST", "/stop")
-        _, err = page.process.communicate(timeout=20)
+        _, err = page.process.communicate(timeout=LAST_RESORT_S)
     assert page.process.returncode == 1
     assert err.count("\n") == 1
     assert "before a frame was recorded" in err

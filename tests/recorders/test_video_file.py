@@ -157,6 +157,10 @@ def test_a_real_phone_clip_is_upright_and_at_its_true_rate(command: Command, tmp
     assert {image_size(frame.data) for frame in frames} == {(172, 1716)}
     assert float(episode.info.notes["measured_hz"]) == pytest.approx(120, rel=0.001)
     assert episode.info.counts == {"captured": 327, "written": 327, "dropped": 0}
+    kept, filmed = (
+        [one.stamp_ns for one in each] for each in (frames, read_episode(clip).frames())
+    )
+    assert np.array_equal(np.array(kept) - kept[0], np.array(filmed) - filmed[0])
 
 
 def test_one_frame_is_a_recording(command: Command, tmp_path: Path):
@@ -219,3 +223,31 @@ def test_a_file_that_breaks_off_keeps_its_first_frames(command: Command, tmp_pat
     frames = list(read_episode(log).frames())
     assert len(frames) > 20
     assert [number_in(frame.decode()) for frame in frames[:-1]] == list(range(len(frames) - 1))
+
+
+def test_pictures_behind_damaged_ones_keep_their_times(tmp_path: Path):
+    path = tmp_path / "a.mp4"
+    wall = np.random.default_rng(0).integers(0, 255, (180, 320, 3))
+    with av.open(str(path), "w") as file:
+        stream = file.add_stream("mpeg4", rate=60, options={"g": "10"})
+        (stream.width, stream.height), stream.pix_fmt = SIZE, "yuv420p"
+        for number in range(60):
+            pixels = numbered(number)
+            pixels[60:] = np.roll(wall, number, axis=1)  # or a packet is too small to be hurt
+            file.mux(stream.encode(av.VideoFrame.from_ndarray(pixels, format="rgb24")))
+        file.mux(stream.encode())
+
+    def stamps_ns() -> dict[int, int]:
+        frames = read_episode(path).frames("video")
+        return {number_in(frame.decode()): frame.stamp_ns for frame in frames}
+
+    whole = stamps_ns()
+    with av.open(str(path)) as file:
+        packets = [one for one in file.demux(file.streams.video[0]) if one.size]
+        at, size = packets[22].pos, packets[22].size
+    assert at is not None
+    data = bytearray(path.read_bytes())
+    data[at + size // 2 : at + size // 2 + 20] = bytes(20)
+    path.write_bytes(data)
+    left = stamps_ns()
+    assert left == {number: whole[number] for number in range(60) if not 22 <= number < 30}

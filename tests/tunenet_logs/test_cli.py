@@ -9,8 +9,8 @@ from pathlib import Path
 from tests.conftest import BIN, Command
 
 
-def test_info_tells_what_is_in_a_log(command: Command, drop_log: Path):
-    result = command("tunenet-logs", "info", drop_log)
+def test_info_tells_what_is_in_a_log(process: Command, drop_log: Path):
+    result = process("tunenet-logs", "info", drop_log)
     assert result.returncode == 0
     for fact in ("kind: drop", "/ball/pose", "PoseStamped", "400", "60.0 Hz", "restitution 0.7"):
         assert fact in result.stdout

@@ -254,9 +254,7 @@ def test_what_is_no_text_is_no_table(tmp_path: Path):
         read(tmp_path, b"\x89", "a.mcap")
 
 
-@settings(
-    max_examples=500, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_any_table_gives_only_our_errors(tmp_path: Path, data: st.DataObject):
     words = ["t", "x", "z", "time_ms", "sec", "nsec", "header.stamp", "effort1", "q", "u", "v", '"']
@@ -295,3 +293,11 @@ def test_any_table_gives_only_our_errors(tmp_path: Path, data: st.DataObject):
         return
     assert episode.signals
     assert all(np.all(np.diff(one.stamps_ns) > 0) for one in episode.signals.values())
+
+
+def test_degrees_a_second_are_radians_a_second(tmp_path: Path):
+    path = tmp_path / "a.csv"
+    path.write_text("t,elbow.vel (deg/s),effort_1\n0,180,1\n1,90,1\n")
+    velocity = read_episode(path).signals["joints.velocity"]
+    assert velocity.unit == "rad/s"
+    assert velocity.values[:, 0] == pytest.approx([np.pi, np.pi / 2])

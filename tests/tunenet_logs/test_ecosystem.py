@@ -137,11 +137,12 @@ def _image(types: Any, frame: Frame, **more: Any) -> Any:
 
 def test_the_same_frames_come_out_of_every_container(filmed_log: Path, tmp_path: Path):
     """The same bytes at the same stamps, so the tuned value is the same to the last bit."""
-    begin = 1_700_000_000 * 10**9
-    truth = [
-        Frame(begin + one.stamp_ns, one.encoding, one.data)
-        for one in read_episode(filmed_log).frames()
-    ]
+    begin, film = 1_700_000_000 * 10**9, read_episode(filmed_log)
+    frames = [one for one in film.frames() if one.stamp_ns < 1.6e9]  # two bounces are enough
+    with EpisodeWriter(tmp_path / "ours.mcap", film.info, live=False) as writer:
+        for one in frames:
+            writer.write_frame("/camera/image_raw/compressed", one)
+    truth = [Frame(begin + one.stamp_ns, one.encoding, one.data) for one in frames]
     logs = [
         write_pictures_bag(tmp_path / "a.bag", truth),
         write_pictures_folder(tmp_path / "db3", truth, StoragePlugin.SQLITE3),
@@ -153,7 +154,7 @@ def test_the_same_frames_come_out_of_every_container(filmed_log: Path, tmp_path:
         found = list(read_episode(log).frames())
         assert [one.stamp_ns for one in found] == [one.stamp_ns for one in truth], log
         assert all(one.data == two.data for one, two in zip(found, truth, strict=True)), log
-    first, last = (tune_log(log, Options()).estimate for log in (filmed_log, logs[0]))
+    first, last = (tune_log(log, Options()).estimate for log in (tmp_path / "ours.mcap", logs[0]))
     assert first is not None
     assert last is not None
     assert abs(first[0] - last[0]) < 1e-3

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import subprocess
+import time
 from collections.abc import Iterator
 from contextlib import nullcontext
 from pathlib import Path
@@ -86,9 +87,10 @@ def test_a_file_that_may_not_grow(tmp_path: Path, limit: int, live: bool):
     assert info.notes["ended"].startswith("writing failed")
 
 
-def test_at_any_size_there_is_one_log_and_it_holds_what_was_acknowledged(tmp_path: Path):
+@pytest.mark.parametrize("step", [6007, pytest.param(1571, marks=pytest.mark.slow)])
+def test_at_any_size_there_is_one_log_and_it_holds_what_was_acknowledged(tmp_path: Path, step: int):
     forms: set[str] = set()
-    for limit in range(1, 66_000, 1571):
+    for limit in range(1, 66_000, step):
         folder = tmp_path / str(limit)
         folder.mkdir()
         acknowledged, said = fill(folder, limit, live=False)
@@ -144,7 +146,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 
 
 @pytest.mark.parametrize("live", [True, False])
-@pytest.mark.parametrize("taken", [0, 900_000, 1_040_000])
+@pytest.mark.parametrize("taken", [600_000, 900_000, 1_040_000])
 def test_a_small_disk(small_disk: Path, live: bool, taken: int):
     (small_disk / "other").write_bytes(bytes(taken))
     acknowledged, said = fill(small_disk, 0, live=live)
@@ -166,6 +168,7 @@ def test_too_little_space_ends_it_whole(small_disk: Path):
     def wait() -> None:
         while True:
             writer.tick()
+            time.sleep(0.01)
 
     with pytest.raises(LogError, match=r"2000 of 2000 messages are kept in a\.mcap; free some"):
         wait()

@@ -8,7 +8,7 @@ from contextlib import suppress
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tunenet_logs.episode import Frame
@@ -130,7 +130,6 @@ def test_refuses_what_is_no_image(data: bytes):
 
 
 @given(name=st.sampled_from(sorted(WHOLE)), data=st.data())
-@settings(max_examples=300, deadline=None)
 def test_a_damaged_image_decodes_or_is_refused(name: str, data: st.DataObject):
     whole = bytearray(WHOLE[name])
     for _ in range(data.draw(st.integers(1, 4))):

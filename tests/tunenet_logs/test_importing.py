@@ -13,12 +13,13 @@ from mcap.writer import Writer
 
 from tests.conftest import Command, files_no_larger_than
 from tunenet_logs import messages
-from tunenet_logs.episode import Frame
+from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.errors import LogError
 from tunenet_logs.importing import import_log
 from tunenet_logs.messages import COMPRESSED_IMAGE, IMAGE, JOINT_STATE, POSE
 from tunenet_logs.progress import Bar, Progress
 from tunenet_logs.reader import read_episode
+from tunenet_logs.writer import EpisodeWriter
 
 Topic = tuple[str, str, bytes]
 JPEG = cv2.imencode(".jpg", np.zeros((24, 32, 3), np.uint8))[1].tobytes()
@@ -176,3 +177,12 @@ def test_what_a_killed_recording_left_is_not_touched(drop_log: Path, tmp_path: P
     with pytest.raises(LogError, match="did not end"):
         import_log(drop_log, tmp_path / "b.mcap")
     assert (tmp_path / "b.mcap.active").read_bytes() == b"the only copy"
+
+
+def test_what_the_log_notes_is_kept(tmp_path: Path):
+    info = EpisodeInfo(kind="drop", notes={"ball": "gel"})
+    with EpisodeWriter(tmp_path / "a.mcap", info, live=False) as writer:
+        writer.write_pose("/ball", 1, np.zeros(3))
+    import_log(tmp_path / "a.mcap", tmp_path / "b.mcap")
+    notes = read_episode(tmp_path / "b.mcap").info.notes
+    assert (notes["ball"], notes["imported_from"]) == ("gel", "a.mcap")

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.strangers import write_texts
@@ -206,7 +206,6 @@ JSON = st.recursive(
 )
 
 
-@settings(max_examples=300, deadline=None)
 @given(st.data())
 def test_any_message_gives_only_our_errors(data: st.DataObject):
     for type_name in ("foxglove.PoseInFrame", "sensor_msgs/JointState", "tf2_msgs/msg/TFMessage"):
@@ -221,7 +220,6 @@ def test_any_message_gives_only_our_errors(data: st.DataObject):
         assert kind.read(message) is not None
 
 
-@settings(max_examples=200, deadline=None)
 @given(st.sampled_from(["pose", "timestamp", "pose.position", "pose.position.x"]), JSON)
 def test_a_pose_with_anything_in_it_is_a_pose_or_damaged(path: str, value: Any):
     try:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -91,23 +90,26 @@ def test_a_name_that_is_taken_stays_as_it_is(tmp_path: Path, write):
     assert (tmp_path / "a").read_bytes() == b"first"
 
 
-def test_killed_at_any_moment_it_leaves_whole_outcomes_and_nothing_else(tmp_path: Path):
-    rng = np.random.default_rng(0)
-    for trial in range(12):
-        folder = tmp_path / str(trial)
-        words = [sys.executable, "-m", "tests.tunenet_logs.outcome_recorder", str(folder)]
-        process = subprocess.Popen(words, cwd=ROOT, stdout=subprocess.PIPE)
-        assert process.stdout is not None
-        process.stdout.readline()
-        time.sleep(float(rng.uniform(0, 0.05)))
-        process.kill()
-        told = process.stdout.read().split()
-        process.wait()
-        acknowledged = int(told[-1]) if told else 1
-        found = read_outcomes(folder)
-        assert found == tuple(outcome_of(number) for number in range(1, len(found) + 1))
-        assert acknowledged <= len(found) <= acknowledged + 1
-        assert len(list(folder.iterdir())) == len(found)
+MANY = [pytest.param(number, marks=pytest.mark.slow) for number in range(4, 60, 6)]
+
+
+@pytest.mark.parametrize("acknowledged", [1, 15, 45, *MANY])
+def test_killed_at_any_moment_it_leaves_whole_outcomes_and_nothing_else(
+    tmp_path: Path, acknowledged: int
+):
+    """Amid what follows those that were acknowledged; it goes on while it is being killed."""
+    words = [sys.executable, "-m", "tests.tunenet_logs.outcome_recorder", str(tmp_path)]
+    process = subprocess.Popen(words, cwd=ROOT, stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    told = [process.stdout.readline() for _ in range(acknowledged)]
+    process.kill()
+    told += process.stdout.read().split()
+    process.wait()
+    found = read_outcomes(tmp_path)
+    assert found == tuple(outcome_of(number) for number in range(1, len(found) + 1))
+    assert len(told) == int(told[-1]) >= acknowledged
+    assert len(told) <= len(found) <= len(told) + 1
+    assert len(list(tmp_path.iterdir())) == len(found)
 
 
 @pytest.mark.parametrize("write", [write_new, write_aside])

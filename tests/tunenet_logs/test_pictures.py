@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.picture_strangers import (
@@ -143,7 +143,6 @@ def test_damaged_pictures_are_counted_and_left_out(tmp_path: Path, bad):
     size=st.tuples(st.integers(-2, 70), st.integers(-2, 70)),
     length=st.integers(0, 20_000),
 )
-@settings(max_examples=300, deadline=None)
 def test_bare_pixels_decode_or_are_refused(encoding: str, size: tuple[int, int], length: int):
     with suppress(TuneNetError):
         pixels = Frame(0, encoding, bytes(length), size).decode()
@@ -153,7 +152,6 @@ def test_bare_pixels_decode_or_are_refused(encoding: str, size: tuple[int, int],
 @given(
     encoding=st.sampled_from(sorted(ENCODED)), size=st.tuples(st.integers(1, 9), st.integers(1, 9))
 )
-@settings(max_examples=200, deadline=None)
 def test_the_smallest_pictures_decode(encoding: str, size: tuple[int, int]):
     width, height = size
     for length in {width * height * n // 2 for n in (2, 3, 4, 6, 8)}:
@@ -161,10 +159,17 @@ def test_the_smallest_pictures_decode(encoding: str, size: tuple[int, int]):
             assert Frame(0, encoding, bytes(length), size).decode().shape == (height, width, 3)
 
 
-@given(fields=st.tuples(*[st.integers(0, 2**32 - 1)] * 3), length=st.integers(0, 300))
-@settings(max_examples=60, deadline=None)
-def test_what_a_message_claims_is_never_believed(tmp_path_factory, fields, length: int):
+@given(
+    fields=st.tuples(*[st.integers(0, 20) | st.integers(0, 2**32 - 1)] * 3),
+    length=st.integers(0, 300),
+)
+def test_what_a_message_claims_is_believed_only_if_it_is_there(
+    tmp_path_factory, fields, length: int
+):
     width, height, step = fields
     path = tmp_path_factory.mktemp("claims") / "a.mcap"
     write_pictures(path, [image(STAMP_NS, "rgb8", (width, height), bytes(length), step)])
-    assert list(read_episode(path).frames()) == []
+    row = step or 3 * width
+    is_there = width * height > 0 and row >= 3 * width and row * height <= length
+    sizes = [(one.size, len(one.data)) for one in read_episode(path).frames()]
+    assert sizes == ([((width, height), 3 * width * height)] if is_there else [])

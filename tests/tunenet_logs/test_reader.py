@@ -22,8 +22,6 @@ from tests.strangers import Stranger, write_poses
 from tunenet_logs.errors import LogError, TuneNetError
 from tunenet_logs.reader import read_episode
 
-FUZZ = settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-
 
 @pytest.fixture(scope="module")
 def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -72,9 +70,7 @@ def test_cut_anywhere_it_is_a_shorter_episode(small: Path, tmp_path: Path):
     assert lengths[-1] == len(truth.values)
 
 
-@settings(
-    max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_a_flipped_bit_is_never_silent(small: Path, tmp_path: Path, data: st.DataObject):
     whole = bytearray(small.read_bytes())
@@ -95,9 +91,7 @@ def test_a_flipped_bit_is_never_silent(small: Path, tmp_path: Path, data: st.Dat
     assert same or episode.losses
 
 
-@settings(
-    max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.binary(max_size=400))
 def test_any_bytes_give_only_our_errors(tmp_path: Path, tail: bytes):
     path = tmp_path / "fuzz.mcap"

@@ -148,9 +148,7 @@ def test_cut_anywhere_it_is_a_shorter_episode(tmp_path: Path, compression):
     assert len(set(lengths)) > 4
 
 
-@settings(
-    max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     compression=st.sampled_from(COMPRESSIONS),
     changes=st.lists(st.tuples(st.integers(13, 2**31), st.integers(1, 255)), min_size=1),
@@ -222,18 +220,18 @@ def test_huge_lengths_are_not_believed(tmp_path: Path, length: int, place: str):
     assert losses(tmp_path / "a.bag")
 
 
-@pytest.mark.parametrize("stated", [1000, 2**31, 2**32 - 1])
 @pytest.mark.parametrize("compression", ["bz2", "lz4"])
-def test_a_bomb_stays_small(tmp_path: Path, compression: str, stated: int):
+def test_a_bomb_stays_small_whatever_it_states(tmp_path: Path, compression: str):
     packed = {"bz2": bz2.compress, "lz4": lz4.frame.compress}[compression](bytes(2**28))
-    chunk = record(CHUNK, packed, compression=compression.encode(), size=struct.pack("<I", stated))
-    (tmp_path / "a.bag").write_bytes(MAGIC + chunk)
-    tracemalloc.start()
-    lost = losses(tmp_path / "a.bag")
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak < 64 * 2**20
-    assert any("chunk" in one for one in lost)
+    for stated in (1000, 2**31, 2**32 - 1):
+        fields = {"compression": compression.encode(), "size": struct.pack("<I", stated)}
+        (tmp_path / "a.bag").write_bytes(MAGIC + record(CHUNK, packed, **fields))
+        tracemalloc.start()
+        lost = losses(tmp_path / "a.bag")
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert peak < 64 * 2**20, stated
+        assert any("chunk" in one for one in lost), stated
 
 
 def test_a_file_of_false_beginnings_does_not_take_hours(tmp_path: Path):

@@ -1,0 +1,35 @@
+"""Films that several test files look at, each rendered once."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from recorders.filmed_drop import FilmOrder
+from recorders.simulated_drop import DropOrder
+from recorders.simulators.pinhole import PinholeCamera
+from tests.conftest import Made, film
+from tunenet_logs.episode import Episode
+from tunenet_logs.reader import read_episode
+
+ORDER = DropOrder(restitution=0.65, height_m=1.0, seconds=1.2, hold_s=0.2, rate_hz=60, seed=11)
+CAMERA = PinholeCamera((1.2, -1.4, 1.1), (0.0, 0.0, 0.45))
+
+
+def short_film(made: Made, rate_hz: int = 60) -> Path:
+    """Restitution 0.7 from 1 m, 1.8 s: the ball in the hand, and two bounces."""
+    order = {"restitution": 0.7, "height_m": 1.0, "seconds": 1.5, "hold_s": 0.3, "seed": 5}
+    return made(f"filmed_short_{rate_hz}.mcap", lambda path: film(path, rate_hz=rate_hz, **order))
+
+
+def rendered_ball(made: Made) -> Episode:
+    """The drop of `ORDER` before `CAMERA`, 84 pictures."""
+    order = {**vars(ORDER)}
+    path = made("filmed_for_tracking.mcap", lambda one: film(one, FilmOrder(CAMERA), **order))
+    return kept(read_episode(path))
+
+
+def kept(episode: Episode) -> Episode:
+    """The same, its frames in memory: tracking looks at them several times."""
+    frames = list(episode.frames())
+    return replace(episode, open_frames=lambda _topic: iter(frames))
