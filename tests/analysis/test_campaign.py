@@ -245,3 +245,10 @@ def test_a_drop_that_was_doubted_and_used_counts_as_accepted():
     _, accepted, rejected = overall_rates(attempts(shots, drops))
     assert (accepted.successes, accepted.count) == (1, 1)
     assert (rejected.successes, rejected.count) == (0, 1)
+
+
+def test_shots_of_whose_drop_nothing_is_known_are_neither_accepted_nor_rejected():
+    found = attempts([outcome(1), outcome(2, success=False)], [drop("d3", "rejected")])
+    every, accepted, rejected = overall_rates(found)
+    assert (every.successes, every.count) == (1, 2)
+    assert (accepted.count, rejected.count) == (0, 0)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from analysis.observe.film import canonical_film, find_filmed_drop
-from analysis.observe.film_quality import film_checks, scale_checks
+from analysis.observe.film_quality import film_checks, hop_check, scale_checks
 from analysis.observe.tracking.track import Track
 from recorders.simulators.bounce import Bounce
 from tests.strangers import bounce_heights
@@ -192,3 +192,11 @@ def test_a_length_that_cannot_be_is_not_known(unknown: float):
     assert scale_checks(found, unknown, unknown) == []
     assert scale_checks(found, unknown, 1.0) == scale_checks(found, None, 1.0) != []
     assert scale_checks(found, 0.08, unknown) == scale_checks(found, 0.08, None) != []
+
+
+@pytest.mark.parametrize(("restitution", "stands_out"), [(0.08, False), (0.2, True)])
+def test_a_bounce_is_as_high_as_the_square_of_its_restitution(restitution: float, stands_out: bool):
+    """Of a fall of 120 px, 0.8 px, less than any noise leaves, and 4.8 px."""
+    check = hop_check(find_filmed_drop(filmed(0.7), 0), restitution)
+    assert float(check.detail.split()[0]) == pytest.approx(120 * restitution**2, rel=0.03, abs=0.05)
+    assert check.passed == stands_out

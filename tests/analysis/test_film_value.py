@@ -127,6 +127,22 @@ def test_flights_alone_tell_the_second_restitution():
         assert ratio.sd < 0.05
 
 
+def test_flights_alone_tell_how_sure_their_ratio_is():
+    """Over 100 tracks of one ball, it spreads as its error says, within a quarter."""
+    best = found(draw_shot(B, Balls((0.65, 0.65)), 0.3, SEED, 0)).best
+    exact_px = best.samples.places_px + best.left_px
+    rng = np.random.default_rng(4)
+    values, sds = [], []
+    for _ in range(100):
+        noise_px = rng.normal(0.0, best.scale_px, len(exact_px))
+        samples = replace(best.samples, places_px=exact_px + noise_px)
+        ratio = flight_ratio(replace(best, samples=samples, left_px=-noise_px))
+        assert ratio is not None
+        values.append(ratio.value)
+        sds.append(ratio.sd)
+    assert np.std(values) == pytest.approx(np.mean(sds), rel=0.25)
+
+
 def test_a_clock_that_jumps_is_seen_and_an_even_one_is_not_doubted():
     even = [clock_doubt(found(one).best)[0] for one in shots(B, Balls((0.4, 0.8)), 0.3, 8)]
     assert max(even) < 10

@@ -225,6 +225,18 @@ def test_the_secant_is_right_on_a_clean_log():
     assert found == pytest.approx(MASS_KG, abs=1e-3)
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_secant_beside_a_tare_is_right_whichever_way_torques_count(sign):
+    """What the sensors are off by is in both logs: within a gram, as on a clean log."""
+    off = replace(CLEAN, offset_nm=(0.3, -0.4, 0.2, 0.5, -0.3, 0.4, -0.2))
+    held, empty = (
+        replace(motion, effort=sign * motion.effort)
+        for motion in (motion_of(circle_log(HELD, off)), motion_of(circle_log(None, off)))
+    )
+    found = secant(ARM, held, Convention(sign, has_gravity=True), 0.0, empty)
+    assert found == pytest.approx(MASS_KG, abs=1e-3)
+
+
 def test_the_centres_error_is_that_of_a_ratio():
     """First moments over mass: drawn from their covariance, the quotients spread as is said."""
     rng = np.random.default_rng(3)

@@ -108,6 +108,16 @@ def test_heights_are_judged_beyond_the_reach(reach: tuple[float, float], shots: 
     assert best.margin > 3
 
 
+def test_a_robot_that_keeps_heights_badly_takes_the_middle_of_those_that_pass():
+    """Within a step of the heights that are tried; the margin is that of the nearer end."""
+    rig = replace(RIG, release=Release(height_sd_m=0.01))
+    best = plan_shot(rig, told_ball(0.6, sd=0.002), 61).best
+    assert best is not None
+    below, above = best.height_m - best.heights_m[0], best.heights_m[1] - best.height_m
+    assert best.margin == pytest.approx(min(below, above) / 0.01)
+    assert below == pytest.approx(above, abs=0.012)
+
+
 def test_in_a_wide_hoop_the_ends_are_the_balls_and_the_best_is_near_the_centre():
     rig = replace(RIG, hoop=Hoop(free_radius_m=0.3))
     best = plan_shot(rig, told_ball(0.6, sd=0.01), 40).best

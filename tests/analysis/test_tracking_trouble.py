@@ -10,7 +10,9 @@ import pytest
 
 from analysis.observe.film import find_filmed_drop
 from analysis.observe.tracking.background import middle_of
+from analysis.observe.tracking.candidates import Candidates
 from analysis.observe.tracking.pictures import Pictures
+from analysis.observe.tracking.second_look import SecondLook
 from analysis.observe.tracking.track import Track, track_ball
 from recorders.simulated_drop import simulate_drop
 from recorders.simulators.drop import TOPIC
@@ -126,3 +128,29 @@ def test_a_dull_ball_that_hardly_bounces_and_comes_to_rest(
     assert find_filmed_drop(track, 0).projection.bounce.restitution == pytest.approx(
         0.15, abs=0.015
     )
+
+
+@pytest.mark.parametrize(
+    ("rows", "kept"),
+    [
+        ((0, 4, 8, 12, 12, 16, 20), (0, 1, 2, 3, 5, 6)),
+        ((0, 4, 8, 12, 12, 8, 4), (0, 1, 2, 3, 4, 5, 6)),
+        ((12, 12, 12, 12, 12, 12, 12), (0, 1, 2, 3, 4, 5, 6)),
+    ],
+    ids=["falls on", "bounces", "lies"],
+)
+def test_seen_twice_in_one_place_a_ball_that_turns_back_counts_twice(
+    rows: tuple[int, ...], kept: tuple[int, ...]
+):
+    """Of seven pictures the fifth is as the fourth: once more only where the ball goes on."""
+    count = len(rows)
+    table = Candidates(
+        seconds=np.arange(count) / 60,
+        places_px=np.array([[[50.0, row]] for row in rows]),
+        areas_px=np.full((count, 1), 80.0),
+        colours=np.zeros((count, 1, 3)),
+        whole=np.ones((count, 1), dtype=bool),
+        misfits=np.zeros((count, 1)),
+    )
+    look = SecondLook(table, table.places_px[:, 0], np.arange(count) == 4)
+    assert tuple(look.fresh()) == kept

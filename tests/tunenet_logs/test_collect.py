@@ -75,3 +75,19 @@ def test_told_names_are_for_joints_without_names_and_as_many():
     rows.add(5, JointSample(5, ("x", "y"), effort=[1.0, 2.0]))
     (with_names,), _ = rows.signals()
     assert named(with_names, ["a", "b"]).columns == ("x", "y")
+
+
+@pytest.mark.parametrize("value", [np.inf, -np.inf, np.nan])
+def test_what_is_no_number_is_missing(value: float):
+    """Infinite too: no ball is there, and no joint."""
+    positions, joints = PositionRows("/ball"), JointRows("/joint_states")
+    for index in range(20):
+        height = value if index == 7 else 1.0
+        positions.add(0, [(5 + index * NS, "", "world", 0, 0, height)])
+        joints.add(0, JointSample(5 + index * NS, ("a", "b"), [height, 2.0]))
+    for rows, column in ((positions, 2), (joints, 0)):
+        (signal,), _ = rows.signals()
+        gone = np.zeros(signal.values.shape, dtype=bool)
+        gone[7, column] = True
+        assert np.array_equal(np.isnan(signal.values), gone)
+        assert np.isfinite(signal.values[~gone]).all()

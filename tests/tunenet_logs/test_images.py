@@ -84,6 +84,9 @@ def test_a_note_to_turn_the_picture_changes_no_pixel():
     frame = Frame(0, "jpeg", turned)
     assert frame.size_px() == (64, 48)
     assert np.array_equal(frame.decode(), Frame(0, "jpeg", data).decode())
+    for least_px in (8, 16, 32):
+        small = decode_small(turned, "jpeg", least_px)
+        assert np.array_equal(small, decode_small(data, "jpeg", least_px))
 
 
 def test_refuses_a_forged_size():

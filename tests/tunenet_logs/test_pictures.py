@@ -92,6 +92,15 @@ def test_foxglove_writes_the_same(tmp_path: Path):
     assert frame.stamp_ns == STAMP_NS
 
 
+def test_a_picture_whose_stamp_was_not_set_has_the_time_of_the_log(tmp_path: Path):
+    """The others keep their own: times of this log are 5 ms later."""
+    data = bytes(WIDTH * HEIGHT)
+    stamps = [0, *(STAMP_NS + number * 33_000_000 for number in range(9))]
+    messages = [image(stamp_ns, "mono8", (WIDTH, HEIGHT), data) for stamp_ns in stamps]
+    frames = read(write_pictures(tmp_path / "a.mcap", messages))
+    assert [one.stamp_ns for one in frames] == [5_000_000, *stamps[1:]]
+
+
 @pytest.mark.parametrize("said", ["jpeg", "bgr8; png compressed ", "rgb8; jpeg compressed bgr8"])
 def test_compressed_pictures_are_what_they_are(tmp_path: Path, said: str):
     data = png(drawn())

@@ -1,0 +1,166 @@
+"""Twenty more faults, chosen as the first and the second were, in other files or functions.
+
+From the source alone, before any test was looked at: six where values are fitted, five where logs
+are read, five where they are written, four where a verdict is passed. Of these the suite caught 11
+at first; eight tests were written for the rest, and one was extended.
+"""
+
+from __future__ import annotations
+
+from benchmarks.faults.fault import Fault
+
+FITS = (
+    Fault(
+        "how long flights last seems surer than it is: the errors of the impact between cancel",
+        "analysis/observe/flight_times.py",
+        "slopes = np.array([ratio, -1 - ratio, 1.0]) / (two - one)",
+        "slopes = np.array([ratio, 1 - ratio, 1.0]) / (two - one)",
+        ("tests/analysis/test_film_value.py",),
+    ),
+    Fault(
+        "the last sample of a burst stays as late as it came",
+        "analysis/observe/late_stamps.py",
+        "            return at + 1\n",
+        "            return at\n",
+        ("tests/analysis/test_late_stamps.py",),
+    ),
+    Fault(
+        "beside a tare, the second opinion forgets that a driver's torques have another sign",
+        "analysis/refine/secant.py",
+        "left - np.mean(convention.sign * tare.effort - tare_nm, axis=0)",
+        "left - np.mean(tare.effort - tare_nm, axis=0)",
+        ("tests/analysis/test_payload_fit.py",),
+    ),
+    Fault(
+        "a ball that is twice in one place as it turns back is taken for a doubled picture",
+        "analysis/observe/tracking/second_look.py",
+        "kept[first:end] = not (stood and least > _MOVED_PX and onward)",
+        "kept[first:end] = not (stood and least > _MOVED_PX)",
+        ("tests/analysis/test_tracking_trouble.py",),
+    ),
+    Fault(
+        "a plan does not see how near the lowest height is from which the ball passes",
+        "analysis/planning/plan.py",
+        "room_m = min(height - ends[0], ends[1] - height)",
+        "room_m = ends[1] - height",
+        ("tests/analysis/test_plan.py",),
+    ),
+    Fault(
+        "friction at an impact is bounded by the push outward alone, not by the whole push",
+        "recorders/simulators/shot/contact.py",
+        "held = np.minimum(slipping / (1 + 1 / inertia_share), friction * pushed)",
+        "held = np.minimum(slipping / (1 + 1 / inertia_share), friction * outward)",
+        ("tests/recorders/test_bounce_shot.py",),
+    ),
+)
+
+READERS = (
+    Fault(
+        "a place that is infinite is taken for a place",
+        "tunenet_logs/collect.py",
+        "values[~np.isfinite(values)] = np.nan",
+        "values[np.isnan(values)] = np.nan",
+        ("tests/tunenet_logs/test_collect.py",),
+    ),
+    Fault(
+        "a thousand and more behind a comma, where decimals have points, is read as one and more",
+        "tunenet_logs/formats/tables/numbers.py",
+        'return mark == self.separator or self.decimal not in ("", mark)',
+        "return mark == self.separator",
+        ("tests/tunenet_logs/test_csv_table.py",),
+    ),
+    Fault(
+        "a picture whose header stamp is not set is one of 1970",
+        "tunenet_logs/formats/pictures.py",
+        "stamp_ns = picture.stamp_ns if is_told and picture.stamp_ns else record.log_ns",
+        "stamp_ns = picture.stamp_ns if is_told else record.log_ns",
+        ("tests/tunenet_logs/test_pictures.py",),
+    ),
+    Fault(
+        "a JPEG that is decoded small is turned as its note asks, unlike the whole one",
+        "tunenet_logs/images.py",
+        "flag = flags.get(parts[0], cv2.IMREAD_REDUCED_COLOR_8) | cv2.IMREAD_IGNORE_ORIENTATION",
+        "flag = flags.get(parts[0], cv2.IMREAD_REDUCED_COLOR_8)",
+        ("tests/tunenet_logs/test_images.py",),
+    ),
+    Fault(
+        "the rate of a channel counts an interval more than there are",
+        "tunenet_logs/describe.py",
+        "(channel.messages - 1) / duration_s",
+        "channel.messages / duration_s",
+        ("tests/tunenet_logs/test_cli.py",),
+    ),
+)
+
+WRITERS = (
+    Fault(
+        "a recording that a full disk cut replaces the whole one that was there",
+        "tunenet_logs/output/log_place.py",
+        "if self.path.exists() and (is_cut or not self._overwrite):",
+        "if self.path.exists() and not self._overwrite:",
+        ("tests/tunenet_logs/test_full_disk.py",),
+    ),
+    Fault(
+        "the end of a log counts each topic's messages in its last chunk alone",
+        "tunenet_logs/output/mcap_summary.py",
+        "self._counts[channel_id] = self._counts.get(channel_id, 0) + count",
+        "self._counts[channel_id] = count",
+        ("tests/tunenet_logs/test_mcap_output.py",),
+    ),
+    Fault(
+        "a log whose pictures cannot be read to their end is found whole",
+        "tunenet_logs/checking.py",
+        "        except LogError as error:\n"
+        '            found.append(f"{topic}: reading ends after {count} of {told} pictures: '
+        '{error}")\n',
+        "        except LogError:\n            pass\n",
+        ("tests/tunenet_logs/test_hostile.py",),
+    ),
+    Fault(
+        "an arm is refused because its gripper, which has none of its joints, spoke as well",
+        "recorders/ros2/joint_message.py",
+        "if self._doubt is not None and not self.is_met:",
+        "if self._doubt is not None:",
+        ("tests/recorders/test_ros2.py",),
+    ),
+    Fault(
+        "at a thousand samples a second, one that comes 2 ms late is told as a gap",
+        "recorders/ros2/pace.py",
+        "longest_ns = max(_GAP_PERIODS * self._usual_ns(), _SHORTEST_GAP_NS)",
+        "longest_ns = _GAP_PERIODS * self._usual_ns()",
+        ("tests/recorders/test_ros2_pace.py",),
+    ),
+)
+
+VERDICTS = (
+    Fault(
+        "the perspective by the ball's size has the wrong sign",
+        "analysis/observe/film_doubts.py",
+        "perspective=float(-found[1] - projection.perspective),",
+        "perspective=float(found[1] - projection.perspective),",
+        ("tests/analysis/test_film_value.py",),
+    ),
+    Fault(
+        "the simulated curve lies a radius too low beside the observed one",
+        "analysis/overlay.py",
+        'heights = signal.values[:, 2] - episode.info.rig["ball_diameter_m"] / 2',
+        'heights = signal.values[:, 2] - episode.info.rig["ball_diameter_m"]',
+        ("tests/analysis/test_review.py",),
+    ),
+    Fault(
+        "shots of whose drop nothing is known count as shots after a rejected drop",
+        "analysis/campaign/rates.py",
+        '("drop rejected", 0.18, lambda one: one.is_accepted is False),',
+        '("drop rejected", 0.18, lambda one: one.is_accepted is not True),',
+        ("tests/analysis/test_campaign.py",),
+    ),
+    Fault(
+        "a filmed bounce is taken to be as high as its restitution, not its square",
+        "analysis/observe/film_quality.py",
+        "hop_px, least = restitution**2 * span, max(_CLEAR_HOP * noise_px, 1.0)",
+        "hop_px, least = restitution * span, max(_CLEAR_HOP * noise_px, 1.0)",
+        ("tests/analysis/test_film.py",),
+    ),
+)
+
+THIRD = (*FITS, *READERS, *WRITERS, *VERDICTS)
