@@ -43,9 +43,9 @@ anew for each seed, and print its figures beside the paper's.
 Needs the libraries of the extra 'eval': pip install 'tunenet-logs[eval]'."""
 
 _EXAMPLES = """\
-  tunenet-eval drop                                  (half an hour on two cores)
+  tunenet-eval drop                                  (over half an hour on two cores)
   tunenet-eval drop --seeds 1 --targets 20           (a few minutes)
-  tunenet-eval drop --seeds 10 --rollouts 5          (many seeds, few rollouts)
+  tunenet-eval drop --first-seed 11 --seeds 10 --rollouts 5   (the documents' headline)
   tunenet-eval drop --methods mean,secant,tunenet-paper-code --seeds 1
   tunenet-eval drop --json drop.json --csv drop.csv --png drop.png --rrd drop.rrd
   tunenet-eval motion --json motion.json
