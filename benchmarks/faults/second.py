@@ -1,7 +1,8 @@
 """Twenty more faults, chosen as the first were, in other files.
 
 From the source alone, before any test was looked at: six where values are fitted, five where logs
-are read, five where they are written, four where a verdict is passed.
+are read, five where they are written, four where a verdict is passed. Of these the suite caught 11
+at first; nine tests were written for the rest.
 """
 
 from __future__ import annotations
