@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 
-from analysis.files import PARTIAL, replacing
-from analysis.report import Row, row_of, to_json
-from analysis.review import write_review
+from analysis.record import Row, row_of, to_json
+from analysis.result_files import PARTIAL, replacing
+from analysis.review.tuning_review import write_review
 from analysis.tuning import Options, Tuning, tune_log
 from tunenet_logs.commandline import print_traceback
 from tunenet_logs.errors import LogError, UsageError, WeightsError

@@ -12,21 +12,21 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.drop.checks import Check, log_checks
+from analysis.drop.from_film import DropVideoTask
 from analysis.estimators.base import Problem, Step, Trace
 from analysis.estimators.tunenet import TuneNet
-from analysis.observe.quality import Check, log_checks
-from analysis.observe.tracking.track import Track
-from analysis.tasks import KINDS, kinds_of, task_for
-from analysis.tasks.base import (
+from analysis.experiment import (
     CrossCheck,
-    Found,
-    Further,
+    Detection,
+    ExtraEstimate,
+    FitResult,
     Preset,
-    Refined,
     Selection,
     Task,
 )
-from analysis.tasks.drop_video import DropVideoTask
+from analysis.registry import KINDS, kinds_of, task_for
+from analysis.tracking.track import Track
 from analysis.tunenet.checkpoint import load_model, shipped_model
 from analysis.tunenet.network import Model
 from recorders.simulators.base import Parameter
@@ -70,7 +70,7 @@ class Tuning:
         occasion: what a user would do again, e.g. "drop".
         reason: why the verdict is not "ok"; None if it is.
         episode: the log as it was read; None if it could not be.
-        found: what the task found in it, a `Found`; None if nothing.
+        found: what the task found in it, a `Detection`; None if nothing.
         trace: the iterates with their rollouts, the last one's too; None where there are none.
         refined: what follows the network's steps, and the last of the iterates; None without.
         rollouts: all simulator runs, that of the last iterate too.
@@ -89,7 +89,7 @@ class Tuning:
     episode: Episode | None = None
     found: Any = None
     trace: Trace | None = None
-    refined: Refined | None = None
+    refined: FitResult | None = None
     rollouts: int = 0
     cross_check: CrossCheck | None = None
     checks: tuple[Check, ...] = ()
@@ -106,7 +106,7 @@ class Tuning:
         return self.trace.estimate
 
     @property
-    def further(self) -> tuple[Further, ...]:
+    def further(self) -> tuple[ExtraEstimate, ...]:
         """What was found beside the tuned values; nothing for a rejected log."""
         return () if self.estimate is None or self.refined is None else self.refined.further
 
@@ -220,7 +220,7 @@ def _only_kind(path: Path, episode: Episode, options: Options) -> str:
 def _tune_found(
     rejected: Tuning,
     task: Task,
-    find: Callable[[], Found],
+    find: Callable[[], Detection],
     options: Options,
     watch: _Stopwatch,
 ) -> Tuning:
@@ -264,7 +264,7 @@ def _preset(task: Task, options: Options) -> Preset:
     return task.presets[options.preset]
 
 
-def _unrefined(options: Options, refined: Refined | None) -> tuple[str, ...]:
+def _unrefined(options: Options, refined: FitResult | None) -> tuple[str, ...]:
     if options.method != REFINED or refined is not None:
         return ()
     return (f"method {REFINED} is for the preset default; {NETWORK} was used",)
@@ -283,13 +283,13 @@ def _model(preset: Preset, options: Options) -> Model:
     return shipped_model(preset.purpose)
 
 
-def _looked_at(trace: Trace, refined: Refined | None, problem: Problem) -> Trace:
+def _looked_at(trace: Trace, refined: FitResult | None, problem: Problem) -> Trace:
     """Simulate the last iterate and the refined one: they are checked and shown, and counted."""
     last = trace.steps[-1]
-    steps = [*trace.steps[:-1], Step(last.values, last.rollouts, problem.look(last.values))]
+    steps = [*trace.steps[:-1], Step(last.values, last.rollouts, problem.evaluate(last.values))]
     if refined is not None:
         spent = problem.rollouts
-        steps.append(Step(refined.values, spent, problem.look(refined.values)))
+        steps.append(Step(refined.values, spent, problem.evaluate(refined.values)))
     return Trace(tuple(steps))
 
 

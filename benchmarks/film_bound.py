@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from analysis.experiments.tracks import (
+from analysis.drop.film_fit import IDEAL, PERSPECTIVE, PRIORS_SD, Samples
+from analysis.evaluation.tracks import (
     NARROW,
     NOISES_PX,
     TRACK_SETS,
@@ -19,7 +20,6 @@ from analysis.experiments.tracks import (
     draw_shot,
     upright,
 )
-from analysis.observe.film_fit import IDEAL, PERSPECTIVE, PRIORS_SD, Samples
 
 SEED = -1
 COUNT = 400

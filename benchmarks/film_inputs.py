@@ -18,11 +18,11 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.observe.drop import CANONICAL_PER_FALL, canonical_axis
-from analysis.observe.film import FilmedDrop, canonical_film
-from analysis.observe.projective import best_map
-from analysis.tasks.drop_presets import OUR_TRAINING
-from analysis.tasks.drop_video_presets import FilmPlan, any_rig, film_of
+from analysis.drop.best_projective_map import best_map
+from analysis.drop.film import FilmedDrop, canonical_film
+from analysis.drop.film_presets import FilmPlan, any_rig, film_of
+from analysis.drop.observations import CANONICAL_PER_FALL, canonical_axis
+from analysis.drop.presets import OUR_TRAINING
 from analysis.tunenet.network import AntisymmetricNetwork, Model
 from analysis.tunenet.pairs import PairSet, cross_pairs, observe_all
 from analysis.tunenet.training import train

@@ -20,11 +20,11 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.experiments.clip_file import write_clip
-from analysis.experiments.clip_order import ClipOrder, draw_clip
-from analysis.experiments.clips import track_errors_px
-from analysis.observe.tracking.pictures import Pictures
-from analysis.observe.tracking.track import track_ball
+from analysis.evaluation.clip_file import write_clip
+from analysis.evaluation.clip_order import ClipOrder, draw_clip
+from analysis.evaluation.clips import track_errors_px
+from analysis.tracking.pictures import Pictures
+from analysis.tracking.track import track_ball
 from analysis.tuning import Options, tune_log
 from tunenet_logs.errors import NotFoundError
 from tunenet_logs.reader import read_episode

@@ -19,7 +19,7 @@ from collections.abc import Callable
 from multiprocessing import get_context
 from typing import TYPE_CHECKING, Any
 
-from analysis.tasks.drop_presets import PRESETS
+from analysis.drop.presets import PRESETS
 from analysis.tunenet.training import train
 from recorders.simulators.engine import pybullet
 from tunenet_logs.progress import Progress

@@ -42,7 +42,7 @@ _MODULES = {
     "tunenet-review": "analysis.cli.review",
     "tunenet-train": "analysis.cli.train",
     "tunenet-plan": "analysis.cli.plan",
-    "tunenet-eval": "analysis.cli.eval",
+    "tunenet-eval": "analysis.evaluation.cli",
 }
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from analysis.campaign.build import campaign_of
 from analysis.campaign.rates import overall_rates
-from analysis.tasks.base import Selection
+from analysis.experiment import Selection
 from analysis.tuning import Options, tune_log
 from tests.conftest import BIN, ROOT, Command
 from tunenet_logs.progress import Progress

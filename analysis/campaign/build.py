@@ -11,7 +11,7 @@ from analysis.campaign.attempts import Attempt, attempts_of
 from analysis.campaign.files import material_of, natural
 from analysis.campaign.small_film import small_film
 from analysis.campaign.tuned_drop import TunedDrop, as_told
-from analysis.experiments.processes import Piece, spread
+from analysis.processes import Piece, parallel_map
 from tunenet_logs.errors import UsageError
 from tunenet_logs.progress import Progress
 
@@ -61,7 +61,7 @@ def campaign_of(
     material = material_of(places, warn)
     work: list[TunedDrop | Path] = [*material.drops, *material.untuned]
     pieces = [Piece(one, 1, one.name) for one in work]
-    read = spread(_read, pieces, jobs, progress, ("reading", "drop")) if pieces else []
+    read = parallel_map(_read, pieces, jobs, progress, ("reading", "drop")) if pieces else []
     unread = [one for one in read if isinstance(one, _Unread)]
     for one in unread:
         warn(one.reason)
@@ -91,7 +91,7 @@ def _read(item: TunedDrop | Path) -> TunedDrop | _Unread | None:
 
 def _tuned(log: Path) -> TunedDrop | _Unread | None:
     """The drop of a log that nobody tuned yet; None where it is something else than a drop."""
-    from analysis.report import to_json
+    from analysis.record import to_json
     from analysis.tuning import Options, tune_log
 
     tuning = tune_log(log, Options())

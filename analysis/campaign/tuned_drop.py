@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from analysis.campaign.small_film import SmallFilm
-from analysis.overlay import Overlay
+from analysis.drop.curves import TunedCurves
 from analysis.tuning import Verdict
 
 State = Literal["drop", "doubtful drop", "rejected drop"]
@@ -51,7 +51,7 @@ class TunedDrop:
     reason: str
     value: float | None
     interval95: tuple[float, float] | None
-    overlay: Overlay | None
+    overlay: TunedCurves | None
     window_s: tuple[float, float] | None = None
     film: SmallFilm | None = None
 
@@ -108,7 +108,7 @@ def as_told(told: Mapping[str, Any], log: Path | None, tuning: Path | None) -> T
         reason=str(told["reason"] or ""),
         value=_finite(restitution["value"]) if restitution else None,
         interval95=(_finite(ends[0]), _finite(ends[1])) if ends else None,
-        overlay=Overlay.from_json(told["curves"]) if "curves" in told else None,
+        overlay=TunedCurves.from_json(told["curves"]) if "curves" in told else None,
         window_s=(_finite(window["start_s"]), _finite(window["end_s"])) if window else None,
     )
 

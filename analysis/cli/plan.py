@@ -75,7 +75,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _plan(arguments: argparse.Namespace) -> int:
-    from analysis.files import check_writable, replacing
+    from analysis.result_files import check_writable, replacing
     from recorders.simulators.shot.rig import ShotRig
     from recorders.simulators.shot.rig_file import read_rig, rig_text
 

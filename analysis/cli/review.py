@@ -56,7 +56,7 @@ def _review(arguments: Any) -> int:
         raise UsageError(f"{output}: what is written is a recording; name it {output.stem}.rrd")
     from analysis.campaign.build import campaign_of
     from analysis.campaign.rates import ball_rates, overall_rates, spreads
-    from analysis.files import check_writable
+    from analysis.result_files import check_writable
     from analysis.review.campaign import write_campaign
     from tunenet_logs.progress import Progress
 

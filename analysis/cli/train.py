@@ -82,7 +82,7 @@ def _train(arguments: argparse.Namespace) -> int:
 
     import torch  # noqa: F401 (loading it is start-up, not training)
 
-    from analysis.tasks import TASKS
+    from analysis.registry import TASKS
     from analysis.tunenet.checkpoint import save_model
     from analysis.tunenet.training import one_step_error, train
     from tunenet_logs.progress import Progress

@@ -18,7 +18,7 @@ from tunenet_logs.errors import NotFoundError, UsageError
 from tunenet_logs.wording import listed, one_line
 
 if TYPE_CHECKING:
-    from analysis.tasks.base import Selection
+    from analysis.experiment import Selection
     from tunenet_logs.progress import Progress
 
 _DESCRIPTION = """\
@@ -161,9 +161,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _tune(arguments: argparse.Namespace) -> int:
     from analysis.batch import tune_all
-    from analysis.observe.tracking.track import Hints
-    from analysis.report import table
-    from analysis.tasks.base import Selection
+    from analysis.experiment import Selection
+    from analysis.record import table
+    from analysis.tracking.track import Hints
     from analysis.tuning import Options
     from tunenet_logs.progress import Progress
 
@@ -224,7 +224,7 @@ def _check_preview(arguments: argparse.Namespace) -> None:
 
 def _marked(log: Path, selection: Selection, progress: Progress) -> Selection:
     """The selection with the ball as it is marked on a page; as it is without a mark."""
-    from analysis.marking import mark_ball
+    from analysis.tracking.ball_picker import mark_ball
     from tunenet_logs.reader import read_episode
 
     episode = read_episode(log)

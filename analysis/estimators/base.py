@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.observe.base import Observation
+from analysis.estimators.observation import Observation
 from recorders.simulators.base import Parameter, Simulator
 from tunenet_logs.episode import Episode
 
@@ -35,7 +35,7 @@ class CountingSimulator:
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class Evaluation:
     """One rollout of the simulator and what an observer sees of it."""
 
     episode: Episode
@@ -79,18 +79,18 @@ class Problem:
         """Simulator runs so far."""
         return self._simulator.rollouts
 
-    def look(self, values: Array) -> Look:
+    def evaluate(self, values: Array) -> Evaluation:
         """Run the simulator at `values`, shape (P,), and observe it."""
         named = {one.name: float(value) for one, value in zip(self.parameters, values, strict=True)}
         episode = self._simulator.rollout(named)
-        return Look(episode, self._observe(episode))
+        return Evaluation(episode, self._observe(episode))
 
-    def misfit(self, look: Look) -> Array:
-        """What the observation of `look` has more than the target has, shape (L * C,).
+    def misfit(self, evaluation: Evaluation) -> Array:
+        """What the observation of `evaluation` has more than the target has, shape (L * C,).
 
         0 where either shows nothing.
         """
-        difference = look.observation.values - self.target.values
+        difference = evaluation.observation.values - self.target.values
         return np.where(np.isfinite(difference), difference, 0.0).ravel()
 
     def clamp(self, values: Array) -> Array:
@@ -106,12 +106,12 @@ class Step:
     Attributes:
         values: shape (P,).
         rollouts: simulator runs that led to it.
-        look: its own rollout, where the method made one.
+        evaluation: its own rollout, where the method made one.
     """
 
     values: Array
     rollouts: int
-    look: Look | None = None
+    evaluation: Evaluation | None = None
 
 
 @dataclass(frozen=True, eq=False)

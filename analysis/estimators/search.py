@@ -8,7 +8,7 @@ from contextlib import suppress
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.estimators.base import Look, Problem, Step, Trace
+from analysis.estimators.base import Evaluation, Problem, Step, Trace
 
 Array = NDArray[np.float64]
 
@@ -60,22 +60,22 @@ class Search:
         """The smallest cost so far; infinite before the first rollout."""
         return self._least
 
-    def look(self, values: Array) -> Look:
-        """See `Problem.look`, at the nearest values to `values`, shape (P,), within bounds."""
+    def evaluate(self, values: Array) -> Evaluation:
+        """See `Problem.evaluate`, at the nearest values to `values`, shape (P,), within bounds."""
         if not self.left:
             raise _Spent
         values = self._problem.clamp(np.atleast_1d(np.asarray(values, dtype=np.float64)))
-        look = self._problem.look(values)
-        cost = float(np.linalg.norm(self._problem.misfit(look)))
+        evaluation = self._problem.evaluate(values)
+        cost = float(np.linalg.norm(self._problem.misfit(evaluation)))
         if cost < self._least:
             self._least = cost
             if self._keep_best:
-                self._steps.append(Step(values, self._problem.rollouts, look))
-        return look
+                self._steps.append(Step(values, self._problem.rollouts, evaluation))
+        return evaluation
 
     def misfit(self, values: Array) -> Array:
         """See `Problem.misfit`, at `values` of shape (P,)."""
-        return self._problem.misfit(self.look(values))
+        return self._problem.misfit(self.evaluate(values))
 
     def cost(self, values: Array) -> float:
         """The L2 norm of the misfit at `values`."""

@@ -23,9 +23,11 @@ class TuneNet:
         steps: list[Step] = []
         for _ in range(rollouts):
             spent = problem.rollouts
-            look = problem.look(values)
-            steps.append(Step(values, spent, look))
-            residual = self._model(look.observation.values[None], problem.target.values[None])[0]
+            evaluation = problem.evaluate(values)
+            steps.append(Step(values, spent, evaluation))
+            residual = self._model(
+                evaluation.observation.values[None], problem.target.values[None]
+            )[0]
             values = problem.clamp(values + residual)
         steps.append(Step(values, problem.rollouts))
         return Trace(tuple(steps))

@@ -10,7 +10,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from analysis.report import interval_words, quantity
+from analysis.record import interval_words, quantity
 from analysis.review.colors import MUTED, OBSERVED, Color
 from analysis.review.grid import WIDTH, chart_view, filled, log_grid, mixed, ticks
 from analysis.review.sending import at_iterations, at_seconds, screen_radius

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from analysis.bounces import ReportedBounce, bounces_of
-from analysis.observe.quality import Check
-from analysis.report import further_words, interval_words
+from analysis.drop.bounces import ReportedBounce, bounces_of
+from analysis.drop.checks import Check
+from analysis.record import further_words, interval_words
 from analysis.tuning import Tuning
 from recorders.simulators.base import Parameter
 from tunenet_logs.wording import one_line

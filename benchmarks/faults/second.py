@@ -12,38 +12,41 @@ from benchmarks.faults.fault import Fault
 FITS = (
     Fault(
         "the speed of an impact is twice what it is",
-        "analysis/refine/rebounds.py",
+        "analysis/drop/rebounds.py",
         "unit_m_s = CALIBRATED.gravity_m_s2 * fall_s / 2",
         "unit_m_s = CALIBRATED.gravity_m_s2 * fall_s",
-        ("tests/analysis/test_film_value.py",),
+        ("tests/analysis/drop/test_film_restitution.py",),
     ),
     Fault(
         "torques that lag are compared with where the arm will be",
-        "analysis/refine/payload_terms.py",
+        "analysis/payload/terms.py",
         "self._motion.at(self._motion.seconds - lag_s)",
         "self._motion.at(self._motion.seconds + lag_s)",
-        ("tests/analysis/test_payload_fit.py",),
+        ("tests/analysis/payload/test_torque_fit.py",),
     ),
     Fault(
         "torques in a gap of an arm's positions count",
-        "analysis/observe/arm_motion.py",
+        "analysis/payload/arm_motion.py",
         "return inside & (gaps[after - 1] < most)",
         "return inside",
-        ("tests/analysis/test_arm_log.py", "tests/analysis/test_payload_fit.py"),
+        ("tests/analysis/payload/test_arm_log.py", "tests/analysis/payload/test_torque_fit.py"),
     ),
     Fault(
         "where a part of a film is selected, a mark's time is not counted from there",
-        "analysis/observe/tracking/pictures.py",
+        "analysis/tracking/pictures.py",
         "return x / self.scale, y / self.scale, at_s - before_s",
         "return x / self.scale, y / self.scale, at_s",
-        ("tests/analysis/test_marking.py", "tests/analysis/test_tracking.py"),
+        ("tests/analysis/tracking/test_ball_picker.py", "tests/analysis/tracking/test_track.py"),
     ),
     Fault(
         "a line goes through the shortest beginning that it explains, not the longest",
-        "analysis/estimators/refined.py",
+        "analysis/estimators/tunenet_line.py",
         "np.flatnonzero((above <= values) & (values <= below))[-1]",
         "np.flatnonzero((above <= values) & (values <= below))[0]",
-        ("tests/analysis/test_refined.py", "tests/analysis/test_filmed_targets.py"),
+        (
+            "tests/analysis/estimators/test_tunenet_line.py",
+            "tests/analysis/evaluation/test_filmed_targets.py",
+        ),
     ),
     Fault(
         "links that are fixed to each other have the products of inertia with the wrong sign",
@@ -153,10 +156,10 @@ WRITERS = (
 VERDICTS = (
     Fault(
         "an offset that is far too negative is taken for usual",
-        "analysis/refine/payload_checks.py",
+        "analysis/payload/checks.py",
         "worst = max(fit.nuisances, key=lambda one: abs(one.value) / one.prior_sd)",
         "worst = max(fit.nuisances, key=lambda one: one.value / one.prior_sd)",
-        ("tests/analysis/test_payload_checks.py",),
+        ("tests/analysis/payload/test_checks.py",),
     ),
     Fault(
         "results of a log with a dot in its name are called by what stands before the dot",
@@ -170,17 +173,17 @@ VERDICTS = (
         "analysis/campaign/attempts.py",
         'return None if self.used is None else self.used.verdict != "rejected"',
         'return None if self.used is None else self.used.verdict == "ok"',
-        ("tests/analysis/test_campaign.py", "tests/analysis/test_campaign_pairing.py"),
+        ("tests/analysis/campaign/test_campaign.py", "tests/analysis/campaign/test_pairing.py"),
     ),
     Fault(
         "what was found beside the value is given an interval where the value has none",
-        "analysis/report.py",
+        "analysis/record.py",
         "ends = None if tuning.interval95 is None else one.interval95.tolist()",
         "ends = one.interval95.tolist()",
         (
-            "tests/analysis/test_report.py",
-            "tests/analysis/test_bounces.py",
-            "tests/analysis/test_payload.py",
+            "tests/analysis/test_record.py",
+            "tests/analysis/drop/test_bounces.py",
+            "tests/analysis/payload/test_payload.py",
         ),
     ),
 )

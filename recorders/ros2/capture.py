@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from recorders.live import LiveRecording
-from recorders.ros2.joint_message import Meeting, stamp_of
+from recorders.ros2.joint_message import TopicProbe, stamp_of
 from recorders.ros2.node import Node, Publisher
 from recorders.ros2.pace import Pace
 from recorders.ros2.subscription import Subscription
@@ -132,7 +132,7 @@ class _Heard:
     """
 
     subscription: Subscription
-    meeting: Meeting
+    meeting: TopicProbe
     pace: Pace = field(default_factory=Pace)
     meeting_s: float = 0.0
     is_known: bool = False
@@ -183,7 +183,7 @@ class _Session:
         self.heard = [
             _Heard(
                 self._node.subscribe(published[topic], types[topic]),
-                Meeting(topic, types[topic], order.joint_names),
+                TopicProbe(topic, types[topic], order.joint_names),
             )
             for topic in order.topics
         ]

@@ -53,7 +53,7 @@ def read_message(topic: str, type_name: str, cdr: bytes) -> JointMessage:
     )
 
 
-class Meeting:
+class TopicProbe:
     """What the publishers of a topic say of joints, until that is known.
 
     There may be several, such as an arm's and a gripper's: whichever comes first says nothing of

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.tasks.base import Selection
+from analysis.experiment import Selection
 from analysis.tuning import Options, Tuning, tune_log
 from recorders.session import record_episode
 from recorders.simulated_drop import DropOrder, simulate_drop

@@ -11,7 +11,7 @@ import rerun.blueprint as rrb
 
 from analysis.campaign.build import Campaign
 from analysis.campaign.rates import ball_rates, overall_rates, spreads
-from analysis.files import replacing
+from analysis.result_files import replacing
 from analysis.review.campaign.attempt import attempt_view, film_view, log_attempts, overlay_view
 from analysis.review.campaign.charts import log_rates, log_spreads, rate_view, spread_view
 from analysis.review.campaign.lanes import lane_view, log_lanes

@@ -1,0 +1,1 @@
+"""The bouncing ball: all that knows it."""

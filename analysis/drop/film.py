@@ -1,0 +1,211 @@
+"""A filmed drop: from the ball's track in the picture to its heights.
+
+The scale is time: a fall that lasts T0 is g T0^2 / 2 high. So a film's frame rate must be its true
+one for the heights to be true; the restitution does not depend on it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.drop.film_fit import DRAGGED, SLOPED, FilmFit, Samples
+from analysis.drop.film_search import (
+    FEWEST_SAMPLES,
+    find_fits,
+    later_impacts_s,
+    left_out,
+    told_by,
+)
+from analysis.drop.free_fall import Drop, noise_of
+from analysis.drop.observations import canonical_axis, paper_axis
+from analysis.drop.projection import Projection
+from analysis.estimators.observation import Observation, resample
+from analysis.tracking.track import Track
+from recorders.simulators.balls import Ball
+from recorders.simulators.contact import CALIBRATED
+from tunenet_logs.errors import NotFoundError
+
+Array = NDArray[np.float64]
+
+_LEAST_SPAN_PX = 15.0
+_MARGIN_S = 0.5
+_WHOLE_PX_NOISE, _LEAST_NOISE_PX = 0.45, 0.1
+"""Rounding to whole pixels is no noise: a ball that lies still is always rounded the same way."""
+
+_STRAIGHT = 0.0015
+"""Of the span: what no lens is held to."""
+
+
+@dataclass(frozen=True, eq=False)
+class FilmedDrop:
+    """One drop in a track.
+
+    Attributes:
+        track: the ball in every picture.
+        down_px: unit vector of the image's vertical, shape (2,).
+        fits: to the same samples: of a ball that keeps its restitution, of one whose restitution
+            falls with speed, and of one that the air slows; the latter unless the air is known, and
+            not the one before if the drag is asked for.
+        projection: where its heights are in the picture, by the best fit; on the log's time.
+        used: which pictures the drop is made of, shape (T,) of the track.
+        sideways: distance from the image's vertical [drop heights], one for each used picture.
+        drop: its heights by the projection, contact at 0.
+        left_out: impacts before it, after deeper falls, from which no drop could be fitted.
+        later_s: impacts after it, after falls as deep, on the drop's clock.
+        flights: how many it is made of where the ball bounces otherwise after them; None where not.
+    """
+
+    track: Track
+    down_px: Array
+    fits: tuple[FilmFit, ...]
+    projection: Projection
+    used: NDArray[np.bool_]
+    sideways: Array
+    drop: Drop
+    left_out: int
+    later_s: tuple[float, ...]
+    flights: int | None = None
+
+    @property
+    def best(self) -> FilmFit:
+        """Of the fits: the ideal ball's unless another explains clearly more."""
+        return told_by(self.fits)
+
+
+def find_filmed_drop(
+    track: Track, start_ns: int, ball: Ball | None = None, *, fit_drag: bool = False
+) -> FilmedDrop:
+    """The first drop in a track.
+
+    Args:
+        track: see `track_ball`.
+        start_ns: where the drop's clock is 0.
+        ball: what was dropped, if that is known.
+        fit_drag: whether to find the air's drag, and not the slope of the restitution.
+
+    Raises:
+        NotFoundError: there is none; the message says why.
+    """
+    known = _usable(track)
+    if len(known) < FEWEST_SAMPLES:
+        raise NotFoundError(f"the ball is seen in {len(known)} pictures: too few for a drop")
+    seconds = (track.stamps_ns[known] - start_ns).astype(np.float64) * 1e-9
+    down = track.gravity_px / np.linalg.norm(track.gravity_px)
+    along = -(track.places_px[known] @ down)
+    span = float(np.ptp(along))
+    if span < _LEAST_SPAN_PX:
+        raise NotFoundError(f"the ball moves by only {span:.0f} px: film it larger, from closer")
+    drag_1_m = (ball.drag_1_m if ball and not fit_drag else None) or 0.0
+    least_px = _WHOLE_PX_NOISE if is_whole(track.places_px[known]) else _LEAST_NOISE_PX
+    noise_px = max(noise_of(along), least_px)
+    bent_px = _STRAIGHT * span
+    bent = max(0.0, 1 - (noise_px / bent_px) ** 2)
+    noise_px = max(noise_px, bent_px)
+    whole = Samples(
+        seconds=seconds,
+        places_px=along,
+        noise_px=noise_px,
+        bent=bent,
+        drag_1_s2=drag_1_m * CALIBRATED.gravity_m_s2 / 2,
+        exposure_s=min(track.exposure_s, float(np.median(np.diff(seconds)))),
+    )
+    balls = (DRAGGED,) if fit_drag else (SLOPED,) if drag_1_m else (SLOPED, DRAGGED)
+    fits, flights = find_fits(whole, balls)
+    best = told_by(fits)
+    projection = best.projection()
+    begin = int(np.searchsorted(seconds, best.samples.seconds[0] - _MARGIN_S))
+    last = int(np.searchsorted(seconds, best.samples.seconds[-1], side="right"))
+    used = np.zeros(len(track.stamps_ns), dtype=bool)
+    used[known[begin:last]] = True
+    across = track.places_px[used] @ np.array([down[1], -down[0]])
+    return FilmedDrop(
+        track=track,
+        down_px=down,
+        fits=fits,
+        projection=projection,
+        used=used,
+        sideways=(across - np.median(across)) / projection.span_px,
+        drop=_drop(seconds[begin:last], along[begin:last], projection, noise_px, begin),
+        left_out=left_out(whole, projection),
+        later_s=later_impacts_s(whole, best),
+        flights=flights,
+    )
+
+
+def canonical_film(film: FilmedDrop) -> Observation:
+    """The flights that were seen, on the canonical grid of `canonical`.
+
+    They are those of the fitted ball, without the air, not the samples: those carry the noise of a
+    track, which counts for much where a bounce is small.
+    """
+    axis, fit, drop = canonical_axis(), film.projection, film.drop
+    values = replace(fit.bounce, drag=0.0).heights(axis)
+    last = float(fit.fall_times(drop.seconds[-1:])[0])
+    seen = last if np.isnan(drop.rest_m) else np.inf
+    values[axis > seen] = np.nan
+    return Observation(values[:, None], axis, "time after impact [fall times]", ("[drop heights]",))
+
+
+def image_rows(film: FilmedDrop, start_s: float) -> Observation:
+    """The ball's y in the picture, 0 at the top and 1 at the bottom: what the paper's network sees.
+
+    A recording that ends with the ball at rest goes on with it at rest; else what is missing is
+    NaN.
+
+    Args:
+        film: the drop.
+        start_s: where the paper's 400 samples at 60 Hz start, on the drop's clock.
+    """
+    rows = film.track.places_px[film.used, 1] / film.track.size_px[1]
+    wanted = start_s + paper_axis()
+    seconds = film.drop.seconds
+    values = resample(seconds, rows, wanted)
+    if not np.isnan(film.drop.rest_m):
+        values[wanted > seconds[-1]] = rows[-1]
+    return Observation(values[:, None], paper_axis(), "time [s]", ("y [picture heights]",))
+
+
+def _usable(track: Track) -> NDArray[np.intp]:
+    """Pictures in which the ball is found, each later than the one before."""
+    known = np.flatnonzero(np.isfinite(track.places_px).all(axis=1))
+    stamps_ns = track.stamps_ns[known]
+    later = stamps_ns > np.concatenate(
+        [[np.iinfo(np.int64).min], np.maximum.accumulate(stamps_ns)[:-1]]
+    )
+    return known[later] if np.linalg.norm(track.gravity_px) > 0 else known[:0]
+
+
+def is_whole(places_px: Array) -> bool:
+    """Whether places are rounded to whole pixels."""
+    return bool(np.all(places_px == np.round(places_px)))
+
+
+def _drop(seconds: Array, along: Array, fit: Projection, noise_px: float, first: int) -> Drop:
+    gravity = CALIBRATED.gravity_m_s2
+    height_m = gravity * fit.fall_time_s**2 / 2
+    heights = np.clip(fit.heights(along), -1.0, 2.0)
+    last = float(fit.fall_times(seconds[-1:])[0])
+    starts, speeds = fit.bounce.flights(last)
+    lies_s = fit.impact_s + fit.fall_time_s * float(starts[-1])
+    lying = seconds[(seconds > lies_s) & (speeds[-1] == 0)]
+    return Drop(
+        first=first,
+        seconds=seconds,
+        heights_m=heights * height_m,
+        release_s=fit.impact_s - fit.fall_time_s,
+        release_m=height_m,
+        impact_s=fit.impact_s,
+        contact_m=0.0,
+        impact_speed_m_s=gravity * fit.fall_time_s,
+        flight_restitution=fit.bounce.restitution,
+        flight_restitution_sd=float("nan"),
+        gravity_m_s2=gravity,
+        drag=float("nan"),
+        drag_sd=float("nan"),
+        noise_m=noise_px / fit.span_px * height_m,
+        rest_m=0.0 if len(lying) > 5 else float("nan"),
+        rest_tolerance_m=height_m,
+    )

@@ -1,0 +1,341 @@
+"""The search for a drop in a track: from each impact that may be the first, balls are fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.drop.film_fit import (
+    DRAG,
+    FALL,
+    IDEAL,
+    IMPACT,
+    PERSPECTIVE,
+    RESTITUTION,
+    SLOPE,
+    SPAN,
+    FilmFit,
+    Samples,
+    fit_film,
+)
+from analysis.drop.film_windows import bounces_end, fall_start, film_impacts, held_start
+from analysis.drop.initial_grid import bank_starts
+from analysis.drop.projection import Projection
+from tunenet_logs.errors import NotFoundError
+
+Array = NDArray[np.float64]
+Balls = Sequence[tuple[int, ...]]
+
+FEWEST_SAMPLES = 12
+_MOST_IMPACTS = 6
+_MOST_CANDIDATES = 6
+_FALL_SHARES = (0.96, 0.8, 0.6)
+_STARTS = 6
+_ROUGHLY = (10, 1e-4)
+_FEWEST = 4
+_REST_SEEN = 2.0
+_USUAL = {SLOPE: 0.08, DRAG: 0.05}
+_SLIGHT = 0.2
+"""Of a usual law."""
+
+_SHAPE, _SAME = (RESTITUTION, FALL, PERSPECTIVE), np.array([0.01, 0.02, 0.05])
+"""By how much starts differ that may lead to different ends."""
+
+_CLEARLY = 3.0
+"""Log likelihood that another ball than the ideal one has to gain."""
+
+_LITTLE, _EXACT = 0.004, 0.001
+"""Of the fall: how far off the samples may be beyond noise, of all flights, and of the first."""
+
+_DROP, _HOPELESS = 0.05, 0.12
+"""Of the fall, rms: more is no drop, and more in a rough fit becomes none."""
+
+_STEEP = 0.25
+_HELD, _AT_RELEASE = 1.5, 0.05
+"""Fall times before the impact, from which on a ball is where it is let go, to that share."""
+
+_ENDLESS = 0.995
+"""A restitution that no ball has."""
+
+
+class FilmFits(NamedTuple):
+    """Balls, fitted to the same samples.
+
+    Attributes:
+        balls: the ideal one first.
+        flights: how many are explained of a ball that then bounces otherwise; None where all are.
+    """
+
+    balls: tuple[FilmFit, ...]
+    flights: int | None = None
+
+
+def best_of(fits: Sequence[FilmFit]) -> FilmFit:
+    """The likeliest of fits to the same samples."""
+    scale = min(fit.scale_px for fit in fits)
+    return min(fits, key=lambda fit: fit.cost(scale))
+
+
+def told_by(fits: Sequence[FilmFit]) -> FilmFit:
+    """The ideal ball's fit, the first one, unless another explains clearly more."""
+    ideal, best = fits[0], best_of(fits)
+    scale = min(fit.scale_px for fit in fits)
+    gained = (ideal.cost(scale) - best.cost(scale)) / best.worth
+    return best if gained > _CLEARLY else ideal
+
+
+def find_fits(whole: Samples, balls: Balls) -> FilmFits:
+    """The fits from the first impact that may be the first one.
+
+    Raises:
+        NotFoundError: from none of them on the track is a drop's.
+    """
+    impacts = film_impacts(whole.seconds, whole.places_px, whole.noise_px)
+    span = float(np.ptp(whole.places_px))
+    found: list[FilmFits] = []
+    for at in range(min(len(impacts), _MOST_CANDIDATES)):
+        fits = _fits_from(whole, impacts[at:], balls)
+        if not fits.balls:
+            continue
+        found.append(fits)
+        if _good(fits.balls) and _plausible(best_of(fits.balls), span):
+            break
+    plausible = [fits for fits in found if _plausible(best_of(fits.balls), span)]
+    if not plausible:
+        raise NotFoundError(_why_not(whole, impacts, bool(found)))
+    return min(plausible, key=lambda one: 0.0 if _good(one.balls) else _misfit(one.balls))
+
+
+def _fits_from(whole: Samples, impacts: Sequence[int], balls: Balls) -> FilmFits:
+    """The fits if the first of these is the first impact; none where no fall is seen before."""
+    index, last = impacts[0], bounces_end(whole.seconds, whole.places_px, impacts)
+    best: tuple[FilmFit, ...] = ()
+    for share in _FALL_SHARES:
+        first = fall_start(whole.places_px, index, share, whole.noise_px)
+        if index - first < _FEWEST or last - index < _FEWEST:
+            continue
+        rough = _rough_fits(_part(whole, first, last), float(whole.seconds[index]))
+        if not rough:
+            continue
+        fits = _finished(whole, rough, balls) if _rms(rough[0]) < _HOPELESS else (rough[0],)
+        if not best or _misfit(fits) < 0.7 * _misfit(best):
+            best = fits
+        if _good(fits):
+            return FilmFits(fits)
+    return _of_first_flights(whole, impacts, best, balls) if best else FilmFits(())
+
+
+def _of_first_flights(
+    whole: Samples, impacts: Sequence[int], fits: tuple[FilmFit, ...], balls: Balls
+) -> FilmFits:
+    """The fits to as many flights as one law explains, or those to all if it explains none.
+
+    A ball that is out of round, or later hits an edge, is a ball up to there.
+    """
+    start_s, end_s = fits[0].samples.seconds[[0, -1]]
+    first = int(np.searchsorted(whole.seconds, start_s))
+    for flights in range(min(len(impacts), _MOST_IMPACTS) - 1, 0, -1):
+        end = impacts[flights]
+        if whole.seconds[end] >= end_s or end - impacts[0] < _FEWEST:
+            continue
+        begun = _part(whole, 0, end)
+        rough = _rough_fits(_part(begun, first, end), float(whole.seconds[impacts[0]]))
+        shorter = _finished(begun, rough, balls) if rough else ()
+        if shorter and _good(shorter, _EXACT) and _is_usual(whole, best_of(shorter)):
+            return FilmFits(shorter, flights)
+    return FilmFits(fits)
+
+
+def left_out(whole: Samples, chosen: Projection) -> int:
+    """How many impacts are seen before the chosen one, each after a deeper fall."""
+    before = int(np.searchsorted(whole.seconds, chosen.impact_s - chosen.fall_time_s / 4))
+    return len(_deep_falls(_part(whole, 0, before), 1.1 * chosen.span_px))
+
+
+def later_impacts_s(whole: Samples, chosen: FilmFit) -> tuple[float, ...]:
+    """The first impacts of what may be more drops."""
+    after = int(np.searchsorted(whole.seconds, chosen.samples.seconds[-1]))
+    rest = _part(whole, after, len(whole.seconds))
+    return tuple(_deep_falls(rest, 0.8 * float(chosen.unknowns[SPAN])))
+
+
+def _deep_falls(samples: Samples, least_px: float) -> list[float]:
+    """When falls of so many pixels end in an impact [s]."""
+    seconds, places = samples.seconds, samples.places_px
+    if len(seconds) < FEWEST_SAMPLES:
+        return []
+    impacts = film_impacts(seconds, places, samples.noise_px)
+    begins = [0, *impacts]
+    return [
+        float(seconds[at])
+        for begin, at in zip(begins, impacts, strict=False)
+        if places[begin : at + 1].max() - places[at] > least_px
+    ]
+
+
+def _rough_fits(samples: Samples, impact_s: float) -> list[FilmFit]:
+    """From the best points of the bank, best first."""
+    bank = bank_starts(samples.seconds, samples.places_px, impact_s, _STARTS)
+    fits = [fit_film(samples, start, IDEAL, *_ROUGHLY) for _, start in bank]
+    scale = min((fit.scale_px for fit in fits), default=1.0)
+    return sorted(fits, key=lambda fit: fit.cost(scale))
+
+
+def _finished(whole: Samples, rough: list[FilmFit], balls: Balls) -> tuple[FilmFit, ...]:
+    """All balls, fitted to the bounces that count and to the ball before it was let go."""
+    starts = _apart([fit.unknowns for fit in rough[:3]])
+    real = best_of([_from_any(rough[0].samples, starts, ball, *_ROUGHLY) for ball in balls])
+    samples = _counting(whole, real)
+    real = _from_any(samples, [real.unknowns], real.free)
+    samples = _with_held(whole, real)
+    if samples is not real.samples:
+        held = fit_film(samples, real.unknowns, real.free)
+        if held.nearly_worst_px < 1.5 * max(real.nearly_worst_px, whole.noise_px):
+            real = held
+    samples = _sharp(real)
+    ideal = _from_any(samples, [real.unknowns, rough[0].unknowns], IDEAL)
+    starts = [real.unknowns, ideal.unknowns]
+    return (ideal, *(_from_any(samples, starts, ball) for ball in balls))
+
+
+def _apart(starts: Sequence[Array]) -> list[Array]:
+    """Without those that another one before them leads to the same end as."""
+    kept: list[Array] = []
+    for start in starts:
+        if not any(np.all(np.abs(start - one)[list(_SHAPE)] < _SAME) for one in kept):
+            kept.append(start)
+    return kept
+
+
+def _from_any(
+    samples: Samples,
+    starts: Sequence[Array],
+    free: tuple[int, ...],
+    most: int = 30,
+    gain: float = 1e-6,
+) -> FilmFit:
+    """The best fit from any of the starts, with a usual slope or drag where they have none.
+
+    From too steep a law a fit may not find back to a slight one, so a slight one is tried too.
+    """
+    fits = []
+    for start in starts:
+        laws = [one for one in _USUAL if one in free and not start[one]]
+        for share in (1.0, _SLIGHT) if laws else (1.0,):
+            begin = start.copy()
+            for one, usual in _USUAL.items():
+                begin[one] = (begin[one] or share * usual) if one in free else 0.0
+            fits.append(fit_film(samples, begin, free, most, gain))
+    return best_of(fits)
+
+
+def _counting(whole: Samples, fit: FilmFit) -> Samples:
+    """Without the bounces after the sixth, and without most of a rest."""
+    impact_s, fall_s = float(fit.unknowns[IMPACT]), float(np.exp(fit.unknowns[FALL]))
+    seconds = fit.samples.seconds
+    last = float((seconds[-1] - impact_s) / fall_s)
+    starts, speeds = whole.bounce(fit.unknowns).flights(last)
+    if len(starts) > _MOST_IMPACTS:
+        end = float(starts[_MOST_IMPACTS])
+    else:
+        end = float(starts[-1]) if speeds[-1] == 0 else np.inf
+    first = int(np.searchsorted(whole.seconds, seconds[0]))
+    end_s = min(impact_s + fall_s * (end + _REST_SEEN), float(seconds[-1]))
+    last_at = int(np.searchsorted(whole.seconds, end_s, side="right"))
+    return _part(whole, first, last_at) if last_at - first > FEWEST_SAMPLES else fit.samples
+
+
+def _with_held(whole: Samples, fit: FilmFit) -> Samples:
+    """With the samples just before the fall in which the ball is where it is let go."""
+    first = int(np.searchsorted(whole.seconds, fit.samples.seconds[0]))
+    fall_s = float(np.exp(fit.unknowns[FALL]))
+    earliest = float(fit.unknowns[IMPACT]) - 2 * fall_s
+    begin = int(np.searchsorted(whole.seconds, earliest))
+    if first == begin:
+        return fit.samples
+    left = _part(whole, begin, first).left_px(fit.unknowns)
+    held = begin + held_start(left, 4 * fit.scale_px)
+    last = first + len(fit.samples.seconds)
+    return fit.samples if first == held else _part(whole, held, last)
+
+
+def _sharp(fit: FilmFit) -> Samples:
+    """Without the pictures whose exposure an impact may be in: those show both of its sides."""
+    samples, fall_s = fit.samples, float(np.exp(fit.unknowns[FALL]))
+    times = samples.times(fit.unknowns)
+    impacts, _ = samples.bounce(fit.unknowns).flights(float(times[-1]))
+    after = np.searchsorted(impacts, times, side="right")
+    edges = np.concatenate([[-np.inf], impacts, [np.inf]])
+    apart_s = fall_s * np.minimum(times - edges[after], edges[after + 1] - times)
+    kept = (apart_s > samples.exposure_s / 2) | (times > impacts[-1])
+    if np.count_nonzero(kept) < FEWEST_SAMPLES:
+        return samples
+    return replace(samples, seconds=samples.seconds[kept], places_px=samples.places_px[kept])
+
+
+def _part(whole: Samples, first: int, last: int) -> Samples:
+    return replace(whole, seconds=whole.seconds[first:last], places_px=whole.places_px[first:last])
+
+
+def _misfit(fits: Sequence[FilmFit]) -> float:
+    """What the best ball leaves, as a share of the fall."""
+    return min(fit.nearly_worst_px / float(fit.unknowns[SPAN]) for fit in fits)
+
+
+def _rms(fit: FilmFit) -> float:
+    """Of what is left, as a share of the fall."""
+    return float(np.sqrt(np.mean(fit.left_px**2)) / fit.unknowns[SPAN])
+
+
+def _good(fits: Sequence[FilmFit], little: float = _LITTLE) -> bool:
+    """Whether what is left is noise, or little of the fall."""
+    best = best_of(fits)
+    noise = best.samples.noise_px / float(best.unknowns[SPAN])
+    return _misfit(fits) < 1.5 * noise + little
+
+
+def _is_usual(whole: Samples, fit: FilmFit) -> bool:
+    """Whether a law is one that balls have, and lets go of the ball where it is seen held.
+
+    Few flights are explained by many laws.
+    """
+    times = whole.times(fit.unknowns)
+    held = (times > -_HELD) & (times < -1.0)
+    off = np.median(whole.left_px(fit.unknowns)[held]) if np.any(held) else 0.0
+    return abs(fit.unknowns[SLOPE]) < _STEEP and abs(off) < _AT_RELEASE * fit.unknowns[SPAN]
+
+
+def _plausible(fit: FilmFit, span_px: float) -> bool:
+    """Whether it can be a drop at all: what it sees of one, and how large."""
+    seconds = fit.samples.seconds[-1] - fit.unknowns[IMPACT]
+    after = float(seconds / np.exp(fit.unknowns[FALL]))
+    size = abs(np.log(fit.unknowns[SPAN] / span_px))
+    lasting = fit.unknowns[RESTITUTION] > _ENDLESS
+    return bool(after > 0.3 and size < 1.2 and _rms(fit) < _DROP and not lasting)
+
+
+def _why_not(whole: Samples, impacts: list[int], fitted: bool) -> str:
+    if not impacts:
+        return (
+            "no bounce is seen: the ball never falls onto anything in view; at the next drop: "
+            "keep the table in view"
+        )
+    after = len(whole.seconds) - impacts[-1]
+    if len(impacts) == 1 and after < FEWEST_SAMPLES:
+        return (
+            f"the recording, or what is seen of the ball, ends {after} pictures after the impact; "
+            "at the next drop: record until the ball lies still, all in view"
+        )
+    if not fitted:
+        return (
+            "no free fall is seen before an impact (carried, caught, or too few pictures); at the "
+            "next drop: let go above the table, in view, and record until the ball lies still"
+        )
+    return (
+        "what the ball does is no drop: it does not bounce along parabolas of one acceleration; at "
+        "the next drop: let it bounce on a flat table, untouched, the camera still"
+    )

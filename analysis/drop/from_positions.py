@@ -1,0 +1,240 @@
+"""The drop: a ball's coefficient of restitution from its recorded height."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.drop import observations as views
+from analysis.drop.bounce_fit import fit_bounce
+from analysis.drop.checks import (
+    Check,
+    fall_checks,
+    fit_check,
+    rebound_check,
+    recording_checks,
+    sure_check,
+)
+from analysis.drop.detection import DISAGREEMENT, DropDetection, drop_problem
+from analysis.drop.free_fall import Drop, find_drops
+from analysis.drop.outliers import strays
+from analysis.drop.presets import PAPER_HEIGHT_M, PRESETS
+from analysis.estimators.base import Problem, Step
+from analysis.estimators.observation import Observation
+from analysis.experiment import Claim, CrossCheck, FitResult, Preset, Selection
+from analysis.selection import check_start
+from recorders.simulators.drop import RESTITUTION, TOPIC
+from tunenet_logs.episode import Episode, Signal
+from tunenet_logs.errors import NotFoundError
+from tunenet_logs.timestamp_correction import on_time
+from tunenet_logs.wording import listed
+
+Array = NDArray[np.float64]
+
+_AXES = {"+z": (2, 1), "-z": (2, -1), "+y": (1, 1), "-y": (1, -1), "+x": (0, 1), "-x": (0, -1)}
+_POSITION = ("x", "y", "z")
+_AGREEMENT = 0.02
+_FIT = 0.008
+_PAPER_FIT = 0.03
+_REJECT, _REJECT_REFINED = 0.1, 0.15
+"""A refined value allows for the air, which the simulator that it is compared in has not."""
+
+_FARTHEST_M = 1e6
+
+
+class DropTask:
+    """See `Task`."""
+
+    name = "drop"
+    kind = "drop"
+    occasion = "drop"
+    parameters = (RESTITUTION,)
+
+    def claim(self, episode: Episode, topic: str | None) -> Claim:
+        """By its positions: a tree of frames is in every robot's log; see `Task.claim`."""
+        signals = episode.signals.values() if topic is None else episode.signals_of(topic)
+        positions = [one.name for one in signals if _is_position(one)]
+        if not positions:
+            return Claim.NONE
+        frames = all(name.startswith("/tf") and "ball" not in name for name in positions)
+        return Claim.PERHAPS if frames else Claim.PLAINLY
+
+    @property
+    def presets(self) -> Mapping[str, Preset]:
+        """See `Task.presets`."""
+        return PRESETS
+
+    def find(self, episode: Episode, selection: Selection, preset: str) -> DropDetection:
+        """The first drop of the ball's signal; see `Task.find`."""
+        reasons: list[str] = []
+        unused = _unused_hints(episode, selection)
+        for signal in _candidates(episode, selection):
+            try:
+                check_start(selection.start_s, float(signal.seconds[-1]))
+                arrivals = on_time(signal.stamps_ns)
+                even = replace(signal, stamps_ns=arrivals.stamps_ns)
+                found = _find_in(_cut(even, selection), int(signal.stamps_ns[0]), preset)
+                late = arrivals.words("samples")
+                return replace(found, warnings=(*found.warnings, *late, *unused))
+            except NotFoundError as reason:
+                reasons.append(f"{signal.name}: {reason}")
+        raise NotFoundError("; ".join((reasons[0], *unused)))
+
+    def problem(self, found: DropDetection, initial: Array) -> Problem:
+        """See `Task.problem`."""
+        return drop_problem(found, initial)
+
+    def refine(self, found: DropDetection, estimate: Array) -> FitResult | None:
+        """The bounce in closed form, fitted to all samples; see `Task.refine`."""
+        fit = fit_bounce(found.drop, float(estimate[0])) if found.physical else None
+        if fit is None:
+            return None
+        ends = np.array([fit.interval95])
+        return FitResult(np.array([fit.restitution]), ends, sure_check(*fit.interval95))
+
+    def checks(
+        self, found: DropDetection, last: Step, refined: FitResult | None
+    ) -> tuple[Check, ...]:
+        """See `Task.checks`."""
+        assert last.evaluation is not None
+        checks = recording_checks(found.drop, found.sideways_m)
+        physical = found.physical
+        if physical:  # the paper's simulator has a drag of its own
+            value = float(last.values[0])
+            checks += fall_checks(found.drop, value)
+            checks.append(refined.check if refined else rebound_check(found.drop, value))
+        height_m, noise_m = found.drop.drop_height_m, found.drop.noise_m
+        scale = 1.0 if physical else height_m
+        most = _FIT if physical else _PAPER_FIT
+        most += 1.2 * noise_m / height_m
+        reject = _REJECT_REFINED if refined else _REJECT
+        observation = last.evaluation.observation
+        return (*checks, fit_check(observation, found.target, scale, most, reject))
+
+    def cross_check(self, found: DropDetection, estimate: Array) -> CrossCheck | None:
+        """The speeds just after and just before the impact, by the parabolas on either side."""
+        value = found.drop.flight_restitution
+        if np.isnan(value) or not found.physical:
+            return None
+        margin = _AGREEMENT + 3 * found.drop.flight_restitution_sd
+        agrees = bool(abs(value - estimate[0]) < margin)
+        return CrossCheck("speeds at the first impact", value, agrees, DISAGREEMENT)
+
+
+def _candidates(episode: Episode, selection: Selection) -> list[Signal]:
+    """Position signals in the order in which to try them."""
+    if selection.topic is not None:
+        positions = [one for one in episode.signals_of(selection.topic) if _is_position(one)]
+        if not positions:
+            usable = {name for name, one in episode.signals.items() if _is_position(one)}
+            known = listed(sorted({*usable, *episode.picture_topics})) or "none"
+            raise NotFoundError(f"no usable topic {selection.topic}; there is: {known}")
+    else:
+        positions = [one for one in episode.signals.values() if _is_position(one)]
+    if not positions:
+        seen = listed(f"{one.topic} ({one.type_name or 'no type'})" for one in episode.channels)
+        raise NotFoundError(
+            f"no channel with the position of a ball or pictures of it; channels: {seen or 'none'}"
+        )
+    return sorted(positions, key=lambda one: (one.name != TOPIC, "ball" not in one.name, one.name))
+
+
+def _unused_hints(episode: Episode, selection: Selection) -> tuple[str, ...]:
+    """What to say of options for others: nobody should think that they had an effect."""
+    found: list[str] = []
+    if selection.arm_options:
+        found.append(f"{', '.join(selection.arm_options)} not used: this is a drop")
+    if selection.ball_options:
+        topics = episode.picture_topics
+        there = f"to use its pictures: --topic {topics[0]}" if topics else "it holds no pictures"
+        named = ", ".join(selection.ball_options)
+        found.append(f"{named} not used: the log holds the ball's position ({there})")
+    return tuple(found)
+
+
+def _is_position(signal: Signal) -> bool:
+    return signal.columns == _POSITION and signal.unit == "m"
+
+
+def _cut(signal: Signal, selection: Selection) -> Signal:
+    """The selected part, without the samples that hold no position."""
+    seconds = signal.seconds
+    keep: NDArray[np.bool_] = np.all(np.abs(signal.values) < _FARTHEST_M, axis=1)  # NaN is not
+    if selection.start_s is not None:
+        keep &= seconds >= selection.start_s
+    if selection.end_s is not None:
+        keep &= seconds <= selection.end_s
+    return _only(signal, keep)
+
+
+def _find_in(signal: Signal, start_ns: int, preset: str) -> DropDetection:
+    if not len(signal.stamps_ns):
+        raise NotFoundError("no sample with a position (in the part that was selected)")
+    up, signal, drops = _vertical_drops(signal, start_ns)
+    column, _ = _AXES[up]
+    drop = drops[0]
+    window = slice(drop.first, drop.first + len(drop.seconds))
+    target = _VIEWS[preset](drop)
+    warnings = [] if up == "+z" else [f"up is {up} in {signal.name}"]
+    if len(drops) > 1:
+        spans = ", ".join(f"{one.seconds[0]:.2f} to {one.seconds[-1]:.2f} s" for one in drops)
+        warnings.append(f"{len(drops)} drops ({spans}); the first is used (see --start, --end)")
+    if not PRESETS[preset].physical:
+        warnings += _paper_warnings(drop, target)
+    return DropDetection(
+        physical=PRESETS[preset].physical,
+        topic=signal.name,
+        drop=drop,
+        start_ns=start_ns,
+        sideways_m=np.delete(signal.values, column, axis=1)[window],
+        target=target,
+        warnings=tuple(warnings),
+    )
+
+
+def _vertical_drops(signal: Signal, start_ns: int) -> tuple[str, Signal, list[Drop]]:
+    """Which way is up (+z if in doubt), the signal without strays, and the drops along it."""
+    low, high = np.quantile(signal.values, (0.001, 0.999), axis=0)
+    first_reason: NotFoundError | None = None
+    for up, (column, sign) in _AXES.items():
+        if (high - low)[column] < 0.5 * (high - low).max():
+            continue
+        seconds = (signal.stamps_ns - start_ns).astype(np.float64) * 1e-9
+        kept = _only(signal, np.logical_not(strays(seconds, signal.values[:, column])))
+        seconds = (kept.stamps_ns - start_ns).astype(np.float64) * 1e-9
+        try:
+            return up, kept, find_drops(seconds, sign * kept.values[:, column])
+        except NotFoundError as reason:
+            first_reason = first_reason or reason
+    raise first_reason or NotFoundError("the ball does not move")
+
+
+def _only(signal: Signal, keep: NDArray[np.bool_]) -> Signal:
+    stamps_ns, values = signal.stamps_ns[keep], signal.values[keep]
+    return Signal(signal.name, stamps_ns, values, signal.columns, signal.unit)
+
+
+def _paper_warnings(drop: Drop, target: Observation) -> list[str]:
+    if np.isnan(target.values).any():
+        raise NotFoundError(
+            "the paper's network needs 400 samples at 60 Hz: record 6.7 s from the release on, "
+            "or use --preset default"
+        )
+    height = drop.release_m - drop.table_m + views.PAPER_RADIUS_M
+    low, high = PAPER_HEIGHT_M
+    if low - 0.1 <= height <= high + 0.1:
+        return []
+    return [
+        f"a drop from {height:.2f} m (ball of 0.5 m radius) is outside the {low:g} to {high:g} m "
+        "that the paper's network was trained on"
+    ]
+
+
+_VIEWS: dict[str, Callable[[Drop], Observation]] = {
+    "default": views.canonical,
+    "paper": views.paper_heights,
+    "paper-code": views.paper_heights,
+}

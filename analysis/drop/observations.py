@@ -1,0 +1,142 @@
+"""A drop as an observation: in fall times and drop heights, or as the paper has it.
+
+With s = (t - t_impact) / T0 (T0 the fall time) and u the height above contact in drop heights, a
+bounce without drag is one curve that depends on the restitution alone: drop height, gravity, ball,
+table and sampling rate drop out. So one network serves every rig.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.drop.free_fall import Drop
+from analysis.estimators.observation import Observation, resample
+from recorders.simulators.contact import ContactSettings
+from recorders.simulators.drop import TOPIC, DropRig
+from tunenet_logs.episode import Episode
+
+Array = NDArray[np.float64]
+
+CANONICAL_PER_FALL = 32
+CANONICAL_SPAN = 4
+"""The canonical grid: fall times after the first impact, and places in each."""
+
+PAPER_RATE_HZ = 60.0
+PAPER_SAMPLES = 400
+PAPER_RADIUS_M = 0.5
+_PAPER_UNIT_M = 5.0
+
+
+def canonical_axis() -> Array:
+    """Places of the canonical grid [fall times after the first impact], shape (128,)."""
+    return np.arange(1, CANONICAL_SPAN * CANONICAL_PER_FALL + 1) / CANONICAL_PER_FALL
+
+
+def canonical(drop: Drop) -> Observation:
+    """Height [drop heights] against time [fall times].
+
+    A ball that is seen to rest goes on resting; else what comes after the recording is NaN.
+    """
+    axis = canonical_axis()
+    places = (drop.seconds - drop.impact_s) / drop.fall_time_s
+    heights = (drop.heights_m - drop.contact_m) / drop.drop_height_m
+    values = _between_impacts(places, heights, axis)
+    if not np.isnan(drop.rest_m):
+        values[axis > places[-1]] = (drop.rest_m - drop.contact_m) / drop.drop_height_m
+    return Observation(values[:, None], axis, "time after impact [fall times]", ("[drop heights]",))
+
+
+def rollout_drop(episode: Episode, rig: DropRig, contact: ContactSettings) -> Drop:
+    """The drop of a simulated episode, whose rig and release are known exactly."""
+    signal = episode.signals[TOPIC]
+    speed = float(np.sqrt(2 * contact.gravity_m_s2 * rig.gap_m))
+    heights = signal.values[:, 2]
+    return Drop(
+        first=0,
+        seconds=(signal.stamps_ns - rig.start_ns).astype(np.float64) * 1e-9,
+        heights_m=heights,
+        release_s=rig.hold_s,
+        release_m=rig.radius_m + rig.gap_m,
+        impact_s=rig.hold_s + speed / contact.gravity_m_s2,
+        contact_m=rig.radius_m,
+        impact_speed_m_s=speed,
+        flight_restitution=float("nan"),
+        flight_restitution_sd=float("nan"),
+        gravity_m_s2=contact.gravity_m_s2,
+        drag=0.0,
+        drag_sd=0.0,
+        noise_m=0.0,
+        rest_m=rig.radius_m,
+        rest_tolerance_m=0.0,
+    )
+
+
+def paper_heights(drop: Drop) -> Observation:
+    """400 samples of z [m] at 60 Hz from the release, as the paper's network has them.
+
+    z is that of a ball of 0.5 m radius on a plane at z = 0. A recording that ends with the ball at
+    rest goes on with it at rest; else what is missing is NaN.
+    """
+    wanted = paper_start_s(drop) + paper_axis()
+    values = resample(drop.seconds, drop.heights_m - drop.table_m, wanted)
+    if not np.isnan(drop.rest_m):
+        values[wanted > drop.seconds[-1]] = 0.0
+    return _paper_observation(values + PAPER_RADIUS_M)
+
+
+def paper_start_s(drop: Drop) -> float:
+    """When the paper's simulation of a drop starts, so that its k-th sample is k periods later [s].
+
+    The engine's step (v += -g dt, then z += v dt) puts its k-th sample where free fall is after
+    k + 1/2 periods. A recording that starts with the release, to within a sample or so, is taken
+    from its first sample on.
+    """
+    period_s = 1 / PAPER_RATE_HZ
+    start_s = drop.release_s + period_s / 2
+    if abs(drop.seconds[0] - start_s) < 1.5 * period_s:
+        return float(drop.seconds[0] - period_s)
+    return start_s
+
+
+def paper_rollout(episode: Episode) -> Observation:
+    """The paper's rollout as it is: z after each of 400 steps."""
+    return _paper_observation(episode.signals[TOPIC].values[:, 2])
+
+
+def paper_unit_heights(episode: Episode) -> Observation:
+    """The paper's rollout for a network that sees a video beside it: z from 0 to about 1 [5 m]."""
+    heights = episode.signals[TOPIC].values[:, 2] / _PAPER_UNIT_M
+    return Observation(heights[:, None].copy(), paper_axis(), "time [s]", ("z [5 m]",))
+
+
+def paper_axis() -> Array:
+    """Times of the paper's samples after the start [s], shape (400,)."""
+    return np.arange(1, PAPER_SAMPLES + 1) / PAPER_RATE_HZ
+
+
+def _paper_observation(heights_m: Array) -> Observation:
+    return Observation(heights_m[:, None].copy(), paper_axis(), "time [s]", ("z [m]",))
+
+
+def _between_impacts(places: Array, heights: Array, wanted: Array) -> Array:
+    """Interpolate a curve of parabolas u'' = -2 that meet at impacts; NaN outside.
+
+    Three parabolas claim each gap between samples: the one through its two ends, and those of the
+    gaps on either side, prolonged. Without an impact near by they agree; with one in the gap beside
+    it, two agree; with one in the gap itself, the two neighbours meet there from above and the
+    gap's own lies over both. The median is right every time. A ball at rest is no parabola: there
+    the straight line is the lower bound.
+    """
+    gap = np.clip(np.searchsorted(places, wanted, side="right") - 1, 1, len(places) - 3)
+
+    def prolonged(first: NDArray[np.intp]) -> Array:
+        s0, s1 = places[first], places[first + 1]
+        slope = (heights[first + 1] - heights[first]) / (s1 - s0)
+        return heights[first] + slope * (wanted - s0) + (wanted - s0) * (s1 - wanted)
+
+    claims = np.sort([prolonged(gap - 1), prolonged(gap), prolonged(gap + 1)], axis=0)
+    straight = np.interp(wanted, places, heights)
+    values = np.maximum(claims[1], np.minimum(straight, 0.0))
+    values[(wanted < places[0]) | (wanted > places[-1])] = np.nan
+    return values

@@ -1,0 +1,173 @@
+"""The drop's presets: which simulator, observation, network and training go together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.drop import observations as views
+from analysis.experiment import Preset
+from analysis.tunenet.checkpoint import Purpose
+from analysis.tunenet.network import AntisymmetricNetwork, PaperNetwork
+from analysis.tunenet.pairs import PairSet, consecutive_pairs, mixed_pairs, observe_all
+from analysis.tunenet.training import Recipe
+from recorders.simulators.ball_world import BallWorld
+from recorders.simulators.contact import CALIBRATED, PAPER, ContactSettings
+from recorders.simulators.drop import RESTITUTION, DropRig, DropSimulator
+from tunenet_logs.progress import Progress
+
+Array = NDArray[np.float64]
+Plan = tuple[DropRig, ContactSettings, float]
+"""A rollout to make: rig, settings, restitution."""
+
+PAPER_HEIGHT_M = (4.0, 5.0)
+"""Of the ball's centre, in the paper's training data."""
+
+PAPER_RESTITUTION = (0.3, 0.7)
+_PAPER_PAIRS = 800
+_GAP_M = (0.3, 5.0)
+_RATES_HZ = (60.0, 120.0, 240.0)
+_ROLLOUTS = 2048
+_PAIRS = 51_200
+
+
+@lru_cache(maxsize=1)
+def _world(radius_m: float, contact: ContactSettings) -> BallWorld:
+    """One a process: making it takes as long as a dozen rollouts."""
+    return BallWorld(radius_m, contact)
+
+
+def _observe_plans(plans: Sequence[Plan]) -> Array:
+    """Observations of rollouts, shape (N, L, 1); runs in the worker processes."""
+    curves: list[Array] = []
+    rig, contact, _ = plans[0]
+    simulator = DropSimulator(rig, contact, _world(rig.radius_m, contact))
+    for rig, contact, restitution in plans:
+        simulator = simulator.with_rig(rig)
+        episode = simulator.rollout({RESTITUTION.name: restitution})
+        if contact == PAPER:
+            curves.append(views.paper_rollout(episode).values)
+        else:
+            curves.append(views.canonical(views.rollout_drop(episode, rig, contact)).values)
+    return np.array(curves)
+
+
+def observe_paper_drops(
+    releases_m: Array, restitutions: Array, jobs: int | None, progress: Progress
+) -> Array:
+    """Rollouts of the paper's simulator as its network sees them, shape (N, 400, 1).
+
+    Args:
+        releases_m: heights of the ball's centre, shape (N,).
+        restitutions: shape (N,).
+        jobs: processes; None for all cores.
+        progress: where to show it.
+    """
+    radius = views.PAPER_RADIUS_M
+    plans = [
+        (DropRig(float(height) - radius, radius, views.PAPER_RATE_HZ), PAPER, float(value))
+        for height, value in zip(releases_m, restitutions, strict=True)
+    ]
+    return observe_all(_observe_plans, plans, jobs, progress)
+
+
+def _paper_pairs(count: int | None, seed: int, jobs: int | None, progress: Progress) -> PairSet:
+    """Both rollouts of a pair from one height, U(4, 5) m; restitutions U(.3, .7)."""
+    count = count or _PAPER_PAIRS
+    rng = np.random.default_rng(seed)
+    heights = np.repeat(rng.uniform(*PAPER_HEIGHT_M, count), 2)
+    values = rng.uniform(*PAPER_RESTITUTION, 2 * count)
+    observations = observe_paper_drops(heights, values, jobs, progress)
+    return PairSet(observations, values[:, None], *consecutive_pairs(count))
+
+
+def _canonical_pairs(count: int | None, seed: int, jobs: int | None, progress: Progress) -> PairSet:
+    """Restitutions evenly over their range; any rig will do, so heights and rates vary."""
+    count = count or _PAIRS
+    rollouts = min(_ROLLOUTS, 2 * count)
+    rng = np.random.default_rng(seed)
+    low, high = RESTITUTION.training_range
+    values = low + (high - low) * (np.arange(rollouts) + rng.random(rollouts)) / rollouts
+    gaps = rng.uniform(*_GAP_M, rollouts)
+    rates = rng.choice(_RATES_HZ, rollouts)
+    plans = []
+    for gap, rate, value in zip(gaps, rates, values, strict=True):
+        fall_s = np.sqrt(2 * gap / CALIBRATED.gravity_m_s2)
+        samples = int(np.ceil((views.CANONICAL_SPAN + 1) * fall_s * rate)) + 3
+        rig = DropRig(float(gap), rate_hz=float(rate), samples=samples, hold_s=rng.random() / rate)
+        plans.append((rig, CALIBRATED, float(value)))
+    observations = observe_all(_observe_plans, plans, jobs, progress)
+    return PairSet(observations, values[:, None], *mixed_pairs(values, count, rng))
+
+
+def _paper_preset(name: str, recipe: Recipe) -> Preset:
+    purpose = Purpose(
+        task="drop",
+        preset=name,
+        observation="z, 400 samples at 60 Hz from the release",
+        inputs=views.PAPER_SAMPLES,
+        outputs=1,
+        rates_hz=(views.PAPER_RATE_HZ,),
+    )
+    return Preset(purpose, PaperNetwork(), recipe, _paper_pairs, physical=False)
+
+
+OUR_TRAINING = Recipe(
+    optimizer="adamw",
+    learning_rate=3e-3,
+    weight_decay=0.01,
+    loss="relative",
+    scaling="standard",
+    epochs=20,
+    batch=256,
+    cut_share=0.2,
+)
+
+_OURS = Preset(
+    Purpose(
+        task="drop",
+        preset="default",
+        observation="height after impact, 32 places a fall time, 4 fall times",
+        inputs=len(views.canonical_axis()),
+        outputs=1,
+        rates_hz=_RATES_HZ,
+    ),
+    AntisymmetricNetwork(),
+    replace(OUR_TRAINING, noise=0.01),  # films bring a noise of their own
+    _canonical_pairs,
+    physical=True,
+)
+
+PAPERS_TEXT = Recipe(
+    optimizer="sgd",
+    learning_rate=1e-2,
+    decay=0.99,
+    decay_epochs=5,
+    weight_decay=1e-2,
+    loss="norm",
+    scaling="unit",
+    epochs=200,
+    batch=50,
+)
+
+PAPERS_CODE = Recipe(
+    optimizer="sgd",
+    learning_rate=1e-1,
+    decay=0.99,
+    decay_epochs=1,
+    weight_decay=1e-2,
+    loss="squared",
+    scaling="raw",
+    epochs=200,
+    batch=50,
+)
+
+PRESETS = {
+    "default": _OURS,
+    "paper": _paper_preset("paper", PAPERS_TEXT),
+    "paper-code": _paper_preset("paper-code", PAPERS_CODE),
+}

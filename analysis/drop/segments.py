@@ -1,0 +1,216 @@
+"""The parts of a recorded drop: free fall, release, first flight, rest, and the end."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.drop.impact import ImpactFit, falling_to
+from tunenet_logs.errors import NotFoundError
+
+Array = NDArray[np.float64]
+Samples = NDArray[np.intp]
+Parabola = tuple[float, float, float]
+
+MIN_DROP_M = 0.02
+_REST_WINDOW_S = 0.25
+_FIRST_BLOCK = 256
+"""Samples that are looked through at first: a ball rests soon, whatever the recording's length."""
+
+
+def fit_parabola(clock: Array, heights: Array, samples: Samples) -> Parabola:
+    """Least-squares parabola through some samples, highest power first."""
+    curve, slope, offset = np.polyfit(clock[samples], heights[samples], 2)
+    return float(curve), float(slope), float(offset)
+
+
+def fall_samples(clock: Array, heights: Array, start: int, index: int, noise: float) -> Samples:
+    """Samples of the free fall before an impact.
+
+    Of what leads down to the impact, the largest lower share that is a parabola: the ball may have
+    been held, carried or lowered by hand before.
+
+    Args:
+        clock: times [s], shape (T,).
+        heights: heights [m], shape (T,).
+        start: first sample that may belong to it.
+        index: a sample within one or two of the impact.
+        noise: standard deviation of a height [m].
+
+    Raises:
+        NotFoundError: nothing before the impact is a free fall.
+    """
+    low = float(heights[index])
+    top, first = low, index
+    while first > start and heights[first - 1] > top - 6 * noise - 0.05 * (top - low):
+        first -= 1
+        top = max(top, float(heights[first]))
+    depth = top - low
+    if depth < max(MIN_DROP_M, 15 * noise):
+        raise NotFoundError(f"the ball falls by only {1000 * depth:.0f} mm")
+    for share in (0.95, 0.8, 0.6, 0.4, 0.25):
+        high = np.flatnonzero(heights[first : index - 1] > low + share * depth)
+        begin = first + (int(high[-1]) + 1 if len(high) else 0)
+        samples = np.arange(begin, index - 1)
+        if len(samples) < 5:
+            continue
+        parabola = fit_parabola(clock, heights, samples)
+        residual = _rms(heights[samples] - np.polyval(parabola, clock[samples]))
+        if parabola[0] < 0 and residual < 2 * noise + 0.002 * depth:
+            return samples
+    raise NotFoundError("no free fall is seen before an impact (carried, or too few samples)")
+
+
+def release(
+    clock: Array, heights: Array, start: int, last: int, meeting: ImpactFit
+) -> tuple[float, float]:
+    """When [s] and at what height [m] a fall began: the apex of its upper quarter.
+
+    Drag bends a long fall, so the parabola of its end would put the release elsewhere.
+
+    Args:
+        clock: times [s], shape (T,).
+        heights: heights [m], shape (T,).
+        start: first sample that may belong to it.
+        last: last sample of the fall.
+        meeting: its impact.
+    """
+    contact = meeting.contact_m
+    begin, top = last, float(heights[max(start, last - 5) : last + 1].max())
+    while begin > start and heights[begin - 1] >= heights[begin] - 0.01 * (top - contact):
+        begin -= 1
+        top = max(top, float(heights[begin]))
+    share = (heights[begin : last + 1] - contact) / (top - contact)
+    upper = begin + np.flatnonzero((share > 0.75) & (share < 0.985))
+    apex_s, apex_m = _apex(meeting.fall)
+    if len(upper) >= 5:
+        parabola = fit_parabola(clock, heights, upper)
+        if parabola[0] < 0:
+            upper_s, upper_m = _apex(parabola)
+            if abs(upper_s - apex_s) < 0.25 * (meeting.impact_s - apex_s):
+                return upper_s, upper_m
+    return apex_s, apex_m
+
+
+def flight_samples(
+    clock: Array, heights: Array, index: int, fall: Parabola, noise: float
+) -> Samples:
+    """Samples of the first flight: as long as they lie on one parabola of the fall's curvature.
+
+    Args:
+        clock: times [s], shape (T,).
+        heights: heights [m], shape (T,).
+        index: a sample within one or two of the impact.
+        fall: parabola of the fall, highest power first.
+        noise: standard deviation of a height [m].
+
+    Returns:
+        At least 3 of them, or none.
+    """
+    tolerance = 4 * noise + 5e-4 * np.ptp(heights)
+    landing = falling_to(float(heights[max(index - 3, 0) : index + 4].min()), fall)
+    doubt_s = (clock[index] - clock[index - 1]) / 2 + 3 * noise / max(landing.fall_speed, 1e-3)
+    begin = int(np.searchsorted(clock, landing.impact_s + doubt_s))
+
+    def is_flight(stop: int) -> bool:
+        if stop > len(clock):
+            return False
+        times = clock[begin:stop]
+        straight = heights[begin:stop] - fall[0] * times**2
+        off = straight - np.polyval(np.polyfit(times, straight, 1), times)
+        return bool(np.abs(off).max() < tolerance)
+
+    if not is_flight(begin + 3):
+        return np.arange(0)
+    reach = 3
+    while is_flight(begin + 2 * reach):
+        reach *= 2
+    good, bad = begin + reach, begin + 2 * reach
+    while bad - good > 1:
+        middle = (good + bad) // 2
+        good, bad = (middle, bad) if is_flight(middle) else (good, middle)
+    samples = np.arange(begin, good - 1)  # the last one may have touched the table
+    return samples if len(samples) >= 3 else samples[:0]
+
+
+def rest_and_end(
+    clock: Array, heights: Array, index: int, meeting: ImpactFit, noise: float
+) -> tuple[Samples, int]:
+    """Samples at rest after the bounces (perhaps none), and where the ball is moved again.
+
+    Args:
+        clock: times [s], shape (T,).
+        heights: heights [m], shape (T,).
+        index: a sample within one or two of the impact.
+        meeting: the impact.
+        noise: standard deviation of a height [m].
+    """
+    contact, depth = meeting.contact_m, meeting.drop_height_m
+    after = heights[index + 1 :]
+    above = np.flatnonzero(after > contact + 1.1 * depth + 6 * noise)
+    end = index + 1 + (int(above[0]) if len(above) else len(after))
+    width = int(np.ceil(_REST_WINDOW_S / float(np.median(np.diff(clock))))) + 1
+    if end - index - 1 < width:
+        return np.arange(0), end
+    settled = _settled(heights[index + 1 : end], width, meeting, noise)
+    if settled is None:
+        return np.arange(0), end
+    begin = index + 1 + settled
+    level = np.median(heights[begin : begin + width])
+    moved = np.flatnonzero(np.abs(heights[begin:end] - level) > 0.02 * depth + 8 * noise)
+    end = begin + int(moved[0]) if len(moved) else end
+    return np.arange(begin, end), end
+
+
+def _settled(after: Array, width: int, meeting: ImpactFit, noise: float) -> int | None:
+    """The first of the heights after an impact from which on the ball rests for `width` samples."""
+    contact, depth = meeting.contact_m, meeting.drop_height_m
+    third = width // 3
+    sag = meeting.gravity * (_REST_WINDOW_S / 3) ** 2
+    start, size = 0, _FIRST_BLOCK
+    while len(after) - start >= width:
+        block = after[start : start + size + width - 1]
+        windows = np.lib.stride_tricks.sliding_window_view(block, width)
+        highest, lowest = windows.max(axis=1), windows.min(axis=1)
+        # Near the top of a bounce a ball hardly moves either, but it curves.
+        ends = windows[:, :third].mean(axis=1) + windows[:, -third:].mean(axis=1)
+        bend = ends - 2 * windows[:, third : width - third].mean(axis=1)
+        still = (highest - lowest < 0.002 * depth + 8 * noise) & (np.abs(bend) < sag / 2)
+        low = highest < contact + 0.05 * depth + 8 * noise
+        settled = np.flatnonzero(still & low)
+        if len(settled):
+            return start + int(settled[0])
+        start, size = start + size, 2 * size
+    return None
+
+
+def rebounds(since: Array, heights: Array, meeting: ImpactFit, noise: float) -> bool:
+    """Whether the ball rises after the impact by more than chance would have it.
+
+    Args:
+        since: times after the impact [s], shape (T,).
+        heights: heights [m], shape (T,).
+        meeting: the impact.
+        noise: standard deviation of a height [m].
+
+    Raises:
+        NotFoundError: the recording ends too early to tell.
+    """
+    contact, depth = meeting.contact_m, meeting.drop_height_m
+    early = (since > 0) & (since < 0.25 * meeting.fall_time_s)
+    if not early.any():
+        raise NotFoundError("the recording ends before the ball rebounds")
+    rise = float(np.mean(heights[early])) - contact
+    if rise > 3 * noise / np.sqrt(early.sum()) + 1e-5 * depth:
+        return True
+    later = (since > 0) & (since < 2 * meeting.fall_time_s)
+    return float(np.quantile(heights[later], 0.97)) - contact > 3 * noise + 1e-4 * depth
+
+
+def _apex(parabola: Parabola) -> tuple[float, float]:
+    curve, slope, offset = parabola
+    return -slope / (2 * curve), offset - slope**2 / (4 * curve)
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))

@@ -1,0 +1,209 @@
+"""tunenet-eval: the paper's experiments, its figures beside ours."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from analysis.cli.options import jobs_option
+from analysis.evaluation.printing import (
+    EXPERIMENTS,
+    FULL_SHOT,
+    FULL_VIDEO,
+    METHODS,
+    PAYLOAD_SECTIONS,
+    SECTIONS,
+    SHOT_SECTIONS,
+)
+from tunenet_logs.commandline import Parser, run, whole
+from tunenet_logs.errors import UsageError
+from tunenet_logs.wording import one_line
+
+if TYPE_CHECKING:
+    pass
+
+_DESCRIPTION = """\
+Repeat an experiment of the TuneNet paper from nothing, training and test targets drawn
+anew for each seed, and print its figures beside the paper's.
+
+  payload    the mass in an arm's gripper from its torques: the paper's masses (table 1), and
+             logs like a real driver's, with a bound
+  drop       restitution of a bouncing ball from its height: every method of the paper,
+             what a user would pick instead, and ours, by rollouts spent (table 2, figure)
+  motion     where the ball will be: tuned simulators and one-step predictors (table 3)
+  intervals  how often the 95 % intervals of recorded drops hold the truth; part of drop
+  video      restitution from tracks of filmed drops, good and bad ones: errors, intervals,
+             verdicts
+  bounce-shot  drop, record, tune, plan, shoot, in a hidden world with air, spin, balls out of
+             round and drops that leave the table: the paper's policy and ours
+
+Needs the libraries of the extra 'eval': pip install 'tunenet-logs[eval]'."""
+
+_EXAMPLES = """\
+  tunenet-eval drop                                  (over half an hour on two cores)
+  tunenet-eval drop --seeds 1 --targets 20           (a few minutes)
+  tunenet-eval drop --first-seed 11 --seeds 10 --rollouts 5   (the documents' headline)
+  tunenet-eval drop --methods mean,secant,tunenet-paper-code --seeds 1
+  tunenet-eval drop --json drop.json --csv drop.csv --png drop.png --rrd drop.rrd
+  tunenet-eval motion --json motion.json
+  tunenet-eval payload --sections logs
+  tunenet-eval video --targets 20 --sections set-B,bad
+  tunenet-eval bounce-shot --seeds 1 --targets 12    (a few minutes)
+  tunenet-eval bounce-shot --seeds 1 --campaign shots   (keeps logs, tunings, outcomes)"""
+
+_METHODS_HELP = f"""\
+methods of the paper: {", ".join(METHODS[:6])}
+what a user would pick: {", ".join(METHODS[6:11])}
+ours: {", ".join(METHODS[11:13])}
+the ablation, which has no curve in the figure: {", ".join(METHODS[13:])}"""
+
+_FILES = ("json", "csv", "png", "rrd")
+_ONLY_DROP = ("methods", "rollouts", "png", "rrd")
+_TARGETS = {"video": FULL_VIDEO, "payload": 300, "bounce-shot": FULL_SHOT}
+_SEEDS = {"payload": 5}
+_PAPER_SEEDS = 3
+_PAPER_TARGETS = 100
+
+
+def build_parser() -> Parser:
+    """The command's arguments."""
+    parser = Parser("tunenet-eval", _DESCRIPTION, _EXAMPLES)
+    add = parser.add_argument
+    add("experiment", choices=list(EXPERIMENTS), help="which experiment")
+    add(
+        "--seeds",
+        type=whole(1, 1000),
+        metavar="N",
+        help="how many, each with its own training and targets (default: 3; payload: 5)",
+    )
+    add(
+        "--first-seed",
+        type=whole(0, 1_000_000),
+        default=1,
+        metavar="N",
+        help="the first of them (default: 1)",
+    )
+    add(
+        "--targets",
+        type=whole(1, 100_000),
+        metavar="N",
+        help="test targets for each seed and set (default: 100; video: 200; payload: 300, and two "
+        "thirds as many logs in all; bounce-shot: 60 trials a campaign)",
+    )
+    jobs_option(parser, "processes")
+    drop = parser.add_argument_group("drop only", _METHODS_HELP)
+    drop.add_argument(
+        "--methods", metavar="A,B,...", help="only these, and no intervals (default: all)"
+    )
+    drop.add_argument(
+        "--rollouts",
+        type=whole(1, 100),
+        metavar="N",
+        help="most that a method may spend on a target; columns beyond are left out (default: 100, "
+        "with limits of the calibrated simulator and of noise)",
+    )
+    drop.add_argument(
+        "--png", type=Path, metavar="FILE", help="the figure: error against rollouts, as a picture"
+    )
+    drop.add_argument(
+        "--rrd", type=Path, metavar="FILE", help="the figure for Rerun, with the tables"
+    )
+    parts = parser.add_argument_group(
+        "video, payload and bounce-shot only",
+        "\n".join(
+            f"tables of {name}: {', '.join(sections)}"
+            for name, sections in (
+                ("video", SECTIONS),
+                ("payload", PAYLOAD_SECTIONS),
+                ("bounce-shot", SHOT_SECTIONS),
+            )
+        ),
+    )
+    parts.add_argument("--sections", metavar="A,B,...", help="only these tables (default: all)")
+    shot = parser.add_argument_group("bounce-shot only")
+    shot.add_argument(
+        "--campaign",
+        type=Path,
+        metavar="DIR",
+        help="keep the first seed's logs, tunings and outcomes in this folder (1 GB)",
+    )
+    files = parser.add_argument_group("files (replaced if they exist)")
+    files.add_argument("--json", type=Path, metavar="FILE", help="every figure, and the curves")
+    files.add_argument(
+        "--csv", type=Path, metavar="FILE", help="one row for each method, budget and seed, or line"
+    )
+    add("--quiet", action="store_true", help="no progress bar")
+    for name in ("--pairs", "--epochs"):  # of training, to try things out
+        add(name, type=whole(1, 1_000_000), help=argparse.SUPPRESS)
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Entry point of `tunenet-eval`."""
+    return run(build_parser(), _eval, argv)
+
+
+def _eval(arguments: argparse.Namespace) -> int:
+    _check(arguments)
+
+    from tunenet_logs.progress import Progress
+
+    progress = Progress(quiet=arguments.quiet)
+    count = arguments.seeds or _SEEDS.get(arguments.experiment, _PAPER_SEEDS)
+    seeds = tuple(range(arguments.first_seed, arguments.first_seed + count))
+    if arguments.targets is None:
+        arguments.targets = _TARGETS.get(arguments.experiment, _PAPER_TARGETS)
+    blocks, writers = EXPERIMENTS[arguments.experiment](arguments, seeds, progress)
+    for block in blocks:
+        print(block + "\n", flush=True)
+    for name in _FILES:
+        path = getattr(arguments, name)
+        if path is not None:
+            writers[name](path)
+            print(f"{name}: {'rerun ' if name == 'rrd' else ''}{one_line(path)}")
+    return 0
+
+
+def _check_options(arguments: argparse.Namespace) -> None:
+    """Refuse what is another experiment's."""
+    what = arguments.experiment
+    if what != "drop":
+        for name in _ONLY_DROP:
+            if getattr(arguments, name) is not None:
+                raise UsageError(f"--{name} is for drop, not {what}; leave it out")
+    if what not in ("video", "payload", "bounce-shot") and arguments.sections is not None:
+        others = "video, payload and bounce-shot"
+        raise UsageError(f"--sections is for {others}, not {what}; leave it out")
+    folder = arguments.campaign
+    if folder is not None and what != "bounce-shot":
+        raise UsageError(f"--campaign is for bounce-shot, not {what}; leave it out")
+    if folder is not None and folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise UsageError(f"{folder}: is there already; give --campaign a new folder")
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    """Refuse at once what would fail after the work."""
+    _check_options(arguments)
+
+    from analysis.result_files import check_writable
+
+    taken: dict[Path, str] = {}
+    for name in _FILES:
+        path = getattr(arguments, name)
+        if path is None:
+            continue
+        if str(path) == "-":
+            raise UsageError(f"--{name} -: is no file; give the name of one")
+        other = taken.setdefault(path.resolve(), name)
+        if other != name:
+            raise UsageError(f"{path}: both --{other} and --{name} name it; give each its own")
+        check_writable(path, f"--{name}")
+        if name in ("png", "rrd") and path.suffix != f".{name}":
+            raise UsageError(f"{path}: --{name} writes .{name}; give the file a name that ends so")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

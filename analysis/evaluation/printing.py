@@ -1,0 +1,279 @@
+"""What each experiment of `tunenet-eval` prints, and the files that it can write."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tunenet_logs.errors import UsageError
+
+if TYPE_CHECKING:
+    from analysis.evaluation.drop_networks import Effort
+    from tunenet_logs.progress import Progress
+
+METHODS = (
+    *("mean", "entropy-search", "cma-es", "direct", "tunenet-paper", "tunenet-paper-code"),
+    *("secant", "brent", "least-squares", "tpe", "npe"),
+    *("network", "ours"),
+    *("concatenation", "difference", "antisymmetric"),
+)
+"""Those of `drop_roster`, which takes a second to load."""
+
+SECTIONS = ("set-A", "set-B", "set-C", "slope", "drag", "bad", "clips", "transformed")
+"""Those of `video_cells`, which takes a second to load, and of `clips`."""
+
+SHOT_SECTIONS = ("campaigns", "drops")
+"""Policies in the hidden world, and what drops there are taken for."""
+
+FULL_SHOT = 60
+"""Trials of a campaign, of which shares make smaller runs."""
+
+PAYLOAD_SECTIONS = ("masses", "logs")
+"""Table 1 of the paper, and logs like a real driver's."""
+
+FULL_VIDEO = 200
+"""Tracks for each seed and line of `video`, of which shares make smaller runs."""
+
+Writers = dict[str, Callable[[Path], None]]
+"""What an experiment can write, once all of its text is printed."""
+
+
+Evaluate = Callable[
+    [argparse.Namespace, tuple[int, ...], "Progress"], tuple[Iterable[str], Writers]
+]
+
+
+def _drop(
+    arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
+) -> tuple[Iterable[str], Writers]:
+    """Table 2, its figure and the intervals."""
+    from analysis.evaluation.drop import DropOrder, run_drop
+    from analysis.evaluation.figure import write_figure
+    from analysis.evaluation.method_registry import roster
+    from analysis.evaluation.records import drop_csv, drop_json
+    from analysis.evaluation.tables import drop_tables
+    from analysis.optional_dependencies import needed
+
+    methods = _named(arguments, "methods", METHODS)
+    chosen = roster(methods)
+    for name in ("png", "rrd"):
+        if getattr(arguments, name) is not None and not chosen.has_curves:
+            raise UsageError(f"--{name}: no method chosen has a curve to draw; leave it out")
+    if arguments.png is not None:
+        needed("matplotlib")
+    order = DropOrder(
+        *(seeds, arguments.targets, methods, arguments.jobs, _effort(arguments)),
+        rollouts=arguments.rollouts,
+    )
+    results = run_drop(order, progress)
+
+    def write_rrd(path: Path) -> None:
+        from analysis.evaluation.review.convergence import write_convergence
+
+        write_convergence(results, path)
+
+    return [drop_tables(results)], {
+        "json": lambda path: _write(path, drop_json(results)),
+        "csv": lambda path: _write(path, drop_csv(results)),
+        "png": lambda path: write_figure(results, path),
+        "rrd": write_rrd,
+    }
+
+
+def _motion(
+    arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
+) -> tuple[Iterable[str], Writers]:
+    """Table 3."""
+    from analysis.evaluation.motion_run import run_motion
+    from analysis.evaluation.motion_tables import motion_lines
+    from analysis.evaluation.records import motion_csv, motion_json
+
+    targets = arguments.targets
+    rows = run_motion(seeds, targets, arguments.jobs, progress, _effort(arguments))
+    return [motion_lines(rows, seeds, targets)], {
+        "json": lambda path: _write(path, motion_json(rows, seeds, targets)),
+        "csv": lambda path: _write(path, motion_csv(rows, seeds)),
+    }
+
+
+def _intervals(
+    arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
+) -> tuple[Iterable[str], Writers]:
+    """How often intervals hold."""
+    from analysis.evaluation.intervals import interval_coverages
+    from analysis.evaluation.records import intervals_csv, intervals_json
+    from analysis.evaluation.tables import coverage_table
+
+    targets = arguments.targets
+    rows = interval_coverages(seeds, targets, arguments.jobs, progress)
+    return [coverage_table(rows)], {
+        "json": lambda path: _write(path, intervals_json(rows, seeds, targets)),
+        "csv": lambda path: _write(path, intervals_csv(rows)),
+    }
+
+
+def _payload(
+    arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
+) -> tuple[Iterable[str], Writers]:
+    """Table 1, and payloads in logs like a real driver's."""
+    from analysis.evaluation.payload_logs import LogRow, log_rows
+    from analysis.evaluation.payload_masses import MassOrder, MassRow, mass_rows
+    from analysis.evaluation.payload_records import payload_csv, payload_json
+    from analysis.evaluation.payload_tables import log_table, mass_table
+
+    wanted = _sections(arguments, PAYLOAD_SECTIONS)
+    effort = (arguments.pairs, arguments.epochs)
+    order = MassOrder(seeds, arguments.targets, arguments.jobs, *effort)
+    masses: list[MassRow] = []
+    logs: list[LogRow] = []
+
+    def blocks() -> Iterator[str]:
+        if "masses" in wanted:
+            masses.extend(mass_rows(order, progress))
+            yield mass_table(masses, order)
+        if "logs" in wanted:
+            count = max(1, arguments.targets * 2 // 3)
+            logs.extend(log_rows(seeds, count, order.jobs, progress))
+            yield log_table(logs)
+
+    return blocks(), {
+        "json": lambda path: _write(path, payload_json(masses, logs, order)),
+        "csv": lambda path: _write(path, payload_csv(masses, order)),
+    }
+
+
+def _bounce_shot(
+    arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
+) -> tuple[Iterable[str], Writers]:
+    """The third experiment, in a hidden world."""
+    from math import ceil as round_up
+
+    from analysis.evaluation.shots.acceptance import DROPS, Judged, judged_drops
+    from analysis.evaluation.shots.campaign import TrialResult, run_campaign
+    from analysis.evaluation.shots.shot_records import shot_csv, shot_json
+    from analysis.evaluation.shots.shot_tables import acceptance_table, campaign_table
+
+    wanted = _sections(arguments, SHOT_SECTIONS)
+    results: list[TrialResult] = []
+    bad: list[Judged] = []
+    good: list[Judged] = []
+
+    def blocks() -> Iterator[str]:
+        if "campaigns" in wanted:
+            for seed in seeds:
+                folder = arguments.campaign if seed == seeds[0] else None
+                done = run_campaign(
+                    *(seed, arguments.targets, arguments.jobs, progress),
+                    folder=folder,
+                    effort=_effort(arguments),
+                )
+                results.extend(done)
+            yield campaign_table(results)
+        if "drops" in wanted:
+            count = round_up(DROPS * min(arguments.targets / FULL_SHOT, 1.0))
+            judged = judged_drops(seeds[0], count, arguments.jobs, progress)
+            bad.extend(judged[0])
+            good.extend(judged[1])
+            yield acceptance_table(bad, good)
+
+    return blocks(), {
+        "json": lambda path: _write(path, shot_json(results, bad, good)),
+        "csv": lambda path: _write(path, shot_csv(results)),
+    }
+
+
+def _video(
+    arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
+) -> tuple[Iterable[str], Writers]:
+    """Tracks and clips of filmed drops."""
+    from math import ceil as round_up
+
+    from analysis.evaluation.clip_tables import clip_table, transformed_table
+    from analysis.evaluation.clips import (
+        COUNT,
+        TRANSFORMED,
+        ClipResult,
+        TransformedClip,
+        clip_results,
+        transformed_results,
+    )
+    from analysis.evaluation.video import VideoOrder, VideoRow, track_sections
+    from analysis.evaluation.video_cells import TRACK_SECTIONS, Section
+    from analysis.evaluation.video_records import video_csv, video_json
+    from analysis.evaluation.video_tables import video_blocks
+
+    wanted = _sections(arguments, SECTIONS)
+    chosen = tuple(one for one in TRACK_SECTIONS if one.name in wanted)
+    order = VideoOrder(seeds, arguments.targets, arguments.jobs)
+    rows: list[VideoRow] = []
+
+    def sections() -> Iterator[tuple[Section, tuple[VideoRow, ...]]]:
+        for section, found in track_sections(order, progress, chosen):
+            rows.extend(found)
+            yield section, found
+
+    clips: list[ClipResult] = []
+    transformed: list[TransformedClip] = []
+
+    def blocks() -> Iterator[str]:
+        if chosen:
+            yield from video_blocks(order, sections())
+        seed, share = seeds[0], min(arguments.targets / FULL_VIDEO, 1.0)
+        if "clips" in wanted:
+            clips.extend(clip_results(seed, round_up(COUNT * share), order.jobs, progress))
+            yield clip_table(clips)
+        if "transformed" in wanted:
+            count = round_up(TRANSFORMED * share)
+            transformed.extend(transformed_results(seed, count, order.jobs, progress))
+            yield transformed_table(transformed)
+
+    return blocks(), {
+        "json": lambda path: _write(path, video_json(rows, order, clips, transformed)),
+        "csv": lambda path: _write(path, video_csv(rows)),
+    }
+
+
+def _sections(arguments: argparse.Namespace, there_is: Sequence[str]) -> Sequence[str]:
+    wanted = _named(arguments, "sections", there_is) or there_is
+    for name in wanted:
+        if name not in there_is:
+            raise UsageError(f"no section {name!r}; there is: {', '.join(there_is)}")
+    return wanted
+
+
+def _named(
+    arguments: argparse.Namespace, option: str, there_is: Sequence[str]
+) -> tuple[str, ...] | None:
+    """The names that an option lists; None where it is not given."""
+    listed = getattr(arguments, option)
+    if listed is None:
+        return None
+    names = tuple(filter(None, (name.strip() for name in listed.split(","))))
+    if not names:
+        raise UsageError(f"--{option} names none; there is: {', '.join(there_is)}")
+    return names
+
+
+def _effort(arguments: argparse.Namespace) -> Effort:
+    from analysis.evaluation.drop_networks import Effort
+
+    return Effort(arguments.pairs, arguments.epochs)
+
+
+def _write(path: Path, text: str) -> None:
+    from analysis.result_files import replacing
+
+    with replacing(path) as partial:
+        partial.write_text(text, "utf-8")
+
+
+EXPERIMENTS: dict[str, Evaluate] = {
+    "payload": _payload,
+    "drop": _drop,
+    "motion": _motion,
+    "intervals": _intervals,
+    "video": _video,
+    "bounce-shot": _bounce_shot,
+}

@@ -1,0 +1,1 @@
+"""The experiments' figures for Rerun."""

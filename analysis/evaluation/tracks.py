@@ -1,0 +1,207 @@
+"""Tracks of bouncing balls as uncalibrated cameras show them, to measure what is made of films.
+
+The ball is integrated (`bouncing_ball`) and projected (`viewpoint`) by nothing that the fit uses.
+What a tracker adds is noise, whole pixels, gaps, and pictures before the ball is let go.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.evaluation.bouncing_ball import GRAVITY_M_S2, DroppedBall, Fall, drop_ball
+from analysis.evaluation.drop_targets import TEST_SEEDS
+from analysis.evaluation.viewpoint import (
+    PAPER_RADIUS_M,
+    SIZE_PX,
+    Viewpoint,
+    any_viewpoint,
+    paper_viewpoint,
+)
+from analysis.tracking.track import Track
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Range = tuple[float, float]
+
+NOISES_PX = (0.3, 1.0)
+NARROW: Range = (0.3, 0.7)
+WIDE: Range = (0.1, 0.95)
+"""Restitutions: the paper's, and nearly all."""
+
+TABLE_TENNIS_RADIUS_M = 0.020
+TABLE_TENNIS_DRAG_1_M = 0.5 * 1.2 * 0.47 * np.pi * TABLE_TENNIS_RADIUS_M**2 / 0.0027
+"""Air of 1.2 kg/m3 on a ball of 2.7 g, Cd 0.47."""
+
+_RADII = (0.015, 0.06)
+_HELD_S = (0.0, 0.6)
+_FROM_FALLS = (-0.6, 0.4)
+_FRAMES_A_FALL = (6.0, 150.0)
+_MOST_LOST = 0.1
+_GAPS = 0.3
+_GAP_FALLS = (0.05, 0.3)
+_EARLY_ENDS = 0.1
+_EARLY_FALLS = (2.0, 4.0)
+_SEEN_OF_FLIGHT = 0.6
+_RADIUS_NOISE = 0.05
+_PLUMB_DEG = 1.0
+
+
+@dataclass(frozen=True)
+class TrackSet:
+    """A kind of rig.
+
+    Attributes:
+        name: in tables; what is drawn depends on it.
+        drop_m: range of the fall.
+        radius_m: of the ball; None for 1.5 to 6 % of the fall.
+        lasts: range of what is filmed after the release [fall times].
+        paper: before the paper's camera; else before any.
+        free: any frame rate, release held or unseen, pictures without the ball, early ends; else
+            60 Hz from before the release on.
+    """
+
+    name: str
+    drop_m: Range
+    radius_m: float | None = None
+    lasts: Range = (4.0, 8.0)
+    paper: bool = False
+    free: bool = False
+
+
+A = TrackSet("A", (3.5, 4.5), PAPER_RADIUS_M, paper=True)
+B = TrackSet("B", (0.2, 5.0))
+C = TrackSet("C", (0.2, 5.0), free=True)
+TRACK_SETS = (A, B, C)
+
+
+@dataclass(frozen=True)
+class Balls:
+    """What is dropped: each value evenly from its range.
+
+    Attributes:
+        slope: see `DroppedBall`.
+        drag_1_m: likewise, of all of them.
+    """
+
+    restitution: Range
+    slope: Range = (0.0, 0.0)
+    drag_1_m: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """All that makes a track, before it is made: what a bad one changes.
+
+    Attributes:
+        ball: its restitution is the truth.
+        radius_m: of the ball.
+        view: the camera.
+        seconds: of the pictures, after the release, shape (T,).
+        lost: pictures in which the tracker does not find the ball, shape (T,).
+        noise_px: standard deviation of a coordinate, before it is rounded.
+        seed: of that noise.
+    """
+
+    ball: DroppedBall
+    radius_m: float
+    view: Viewpoint
+    seconds: Array
+    lost: Mask
+    noise_px: float
+    seed: int
+
+    def fall(self) -> Fall:
+        """What the ball does if nothing goes wrong."""
+        return drop_ball(self.ball, self.seconds)
+
+
+def draw_shot(which: TrackSet, balls: Balls, noise_px: float, seed: int, number: int) -> Shot:
+    """The shot `number` of a seed: the same whatever the noise and however many are drawn.
+
+    Negative seeds are for choosing, positive ones for reporting.
+    """
+    low, high = balls.restitution
+    rng = np.random.default_rng(
+        [TEST_SEEDS + seed, number, *f"{which.name} {low:g} {high:g}".encode()]
+    )
+    drop_m = float(rng.uniform(*which.drop_m))
+    restitution, slope = rng.uniform(*balls.restitution), rng.uniform(*balls.slope)
+    ball = DroppedBall(drop_m, float(restitution), float(slope), balls.drag_1_m)
+    radius_m = which.radius_m or drop_m * float(rng.uniform(*_RADII))
+    view = (paper_viewpoint if which.paper else any_viewpoint)(rng, drop_m, radius_m)
+    seconds = _seconds(which, ball, rng)
+    lost = _lost(ball, seconds, rng) if which.free else np.zeros(len(seconds), dtype=bool)
+    return Shot(ball, radius_m, view, seconds, lost, noise_px, int(rng.integers(2**31)))
+
+
+def film(shot: Shot, points_m: Array | None = None) -> Track:
+    """The track of the ball, or of a ball that is at `points_m` (shape (T, 3)) instead.
+
+    It is lost where it is not wholly in the picture.
+    """
+    if points_m is None:
+        points_m = upright(shot.fall().heights_m)
+    places, depth = shot.view.image_from_world(points_m)
+    radii = shot.view.radius_px(depth, shot.radius_m)
+    return film_places(shot, places, radii, shot.lost | ~shot.view.shows(points_m, shot.radius_m))
+
+
+def film_places(shot: Shot, places_px: Array, radius_px: Array, lost: Mask) -> Track:
+    """The track of something at these places: with noise, in whole pixels, its radius in halves.
+
+    Args:
+        shot: the stamps, the noise, the camera's vertical.
+        places_px: shape (T, 2).
+        radius_px: shape (T,).
+        lost: pictures in which it is not found, shape (T,).
+    """
+    rng = np.random.default_rng(shot.seed)
+    noise = rng.normal(0.0, 1.0, (len(shot.seconds), 3))
+    turn = np.radians(rng.normal(0.0, _PLUMB_DEG))  # an arc tells what is down to about a degree
+    places = np.round(places_px + shot.noise_px * noise[:, :2])
+    radii = np.maximum(np.round(2 * radius_px * (1 + _RADIUS_NOISE * noise[:, 2])) / 2, 0.5)
+    places[lost], radii[lost] = np.nan, np.nan
+    plumb = shot.view.plumb_px(shot.ball.drop_m) * GRAVITY_M_S2 / shot.ball.drop_m
+    turned = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]) @ plumb
+    return Track(
+        stamps_ns=np.round((shot.seconds - shot.seconds[0]) * 1e9).astype(np.int64),
+        places_px=places,
+        radius_px=radii,
+        confidence=(~lost).astype(np.float64),
+        size_px=SIZE_PX,
+        gravity_px=turned,
+        colour=(128, 128, 128),
+    )
+
+
+def upright(heights_m: Array) -> Array:
+    """Points straight over the contact, shape (T, 3)."""
+    nothing = np.zeros_like(heights_m)
+    return np.column_stack([nothing, nothing, heights_m])
+
+
+def _seconds(which: TrackSet, ball: DroppedBall, rng: np.random.Generator) -> Array:
+    lasts = rng.uniform(*which.lasts) * ball.fall_s
+    if not which.free:
+        return np.arange(-rng.uniform(*_HELD_S), lasts, 1 / 60)
+    if rng.random() < _EARLY_ENDS:
+        lasts = rng.uniform(*_EARLY_FALLS) * ball.fall_s
+    seen = rng.choice(_FROM_FALLS) * rng.random() * ball.fall_s
+    return np.arange(seen, lasts, ball.fall_s / rng.uniform(*_FRAMES_A_FALL))
+
+
+def _lost(ball: DroppedBall, seconds: Array, rng: np.random.Generator) -> Mask:
+    """Single pictures, at times a gap too; but most of the first flight is seen."""
+    impacts = drop_ball(ball, np.append(seconds, 4 * ball.fall_s)).impacts_s
+    flight = (seconds > impacts[0]) & (seconds < impacts[1])
+    while True:
+        lost = rng.random(len(seconds)) < rng.uniform(0.0, _MOST_LOST)
+        if rng.random() < _GAPS:
+            start = rng.uniform(-0.5, 3.0) * ball.fall_s
+            end = start + rng.uniform(*_GAP_FALLS) * ball.fall_s
+            lost |= (seconds > start) & (seconds < end)
+        if not flight.any() or np.mean(~lost[flight]) >= _SEEN_OF_FLIGHT:
+            return lost

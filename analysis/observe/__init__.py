@@ -1,1 +1,0 @@
-"""Episode -> Observation: what of an episode is compared, in units that make rigs alike."""

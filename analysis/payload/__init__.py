@@ -1,0 +1,1 @@
+"""What an arm holds: all that knows it."""

@@ -1,0 +1,184 @@
+"""What a fit of an arm's torques finds: the payload, and all else that is in them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.model_averaging import TWO_SIDED
+from analysis.payload.terms import Convention
+
+Array = NDArray[np.float64]
+Three = tuple[float, float, float]
+
+_TOLD_SD_M = 0.008
+LEAST_MASS_KG = 0.05
+"""Below which a payload has no centre of mass that torques show."""
+_CHI2_MEDIAN = 0.455
+"""Of one degree of freedom."""
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """One term that is not the payload's.
+
+    Attributes:
+        name: in words.
+        group: "offset", "friction", "gain", "links", "lag" or "drift".
+        value: its mean [N·m, N·m for each rad/s, m, s, or a share].
+        sd: standard deviation.
+        prior_sd: before the log was looked at, about 0.
+    """
+
+    name: str
+    group: str
+    value: float
+    sd: float
+    prior_sd: float
+
+
+@dataclass(frozen=True)
+class Centre:
+    """Where the payload's centre of mass is in the tool frame, if it may be anywhere.
+
+    Attributes:
+        com_m: x, y, z.
+        sds_m: of each.
+        mass_kg: with the centre free.
+        mass_sd_kg: of it.
+        kg_for_m: by how much the mass that is fitted with the centre in the tool frame is wrong,
+            for each m that it is off along x, y, z.
+    """
+
+    com_m: Three
+    sds_m: Three
+    mass_kg: float
+    mass_sd_kg: float
+    kg_for_m: Three
+
+    @property
+    def is_told(self) -> bool:
+        """Whether the log tells it apart from the mass."""
+        return max(self.sds_m) < _TOLD_SD_M and self.mass_kg > LEAST_MASS_KG
+
+    @property
+    def interval95(self) -> tuple[tuple[float, float], ...]:
+        """Of each axis [m]."""
+        pairs = zip(self.com_m, self.sds_m, strict=True)
+        return tuple((one - TWO_SIDED * sd, one + TWO_SIDED * sd) for one, sd in pairs)
+
+
+@dataclass(frozen=True, eq=False)
+class Left:
+    """What a fit leaves of the torques of one run.
+
+    Attributes:
+        residual_nm: measured less predicted, of the joints that were fitted, shape (T, U).
+        effort_nm: as measured, of the same.
+    """
+
+    residual_nm: Array
+    effort_nm: Array
+
+    @property
+    def rms_nm(self) -> float:
+        """Of what is left, whatever single spikes there are."""
+        return float(np.sqrt(np.median(self.residual_nm**2, axis=0).mean() / _CHI2_MEDIAN))
+
+    @property
+    def spread_nm(self) -> float:
+        """By how much the torques change, rms."""
+        moving = self.effort_nm - np.mean(self.effort_nm, axis=0)
+        return float(np.sqrt(np.mean(moving**2)))
+
+    @property
+    def share(self) -> float:
+        """What is left of what changes."""
+        power = self.spread_nm**2
+        return float(np.mean(self.residual_nm**2)) / power if power else np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class PayloadFit:
+    """What is in the gripper.
+
+    Attributes:
+        mass_kg: 0 or more.
+        interval95: of the mass.
+        signed_kg: the mass as fitted, which may be below 0.
+        sd_kg: its standard deviation.
+        centre: of mass, whether the log tells it or not.
+        off_centre: probability that it is not the tool frame's origin.
+        convention: sign of the torques, and whether gravity is in them.
+        convention_odds: log evidence by which it leads the next one.
+        arm_odds: log evidence by which it leads torques that no arm is behind.
+        nuisances: all other terms.
+        bound_kg: Cramér-Rao bound of the mass's standard deviation, under the likeliest model.
+        model: scale of each group's priors in the likeliest model; 0 where it has none of them.
+        seconds: of the torques [s], shape (T,).
+        effort_nm: as measured, with the joint's sign, shape (T, J).
+        predicted_nm: by the fit, shape (T, J).
+        used: joints that were fitted, shape (J,).
+        lag_s: of the torques behind the positions.
+        tare_left: of the empty run's torques; None where there is none.
+    """
+
+    mass_kg: float
+    interval95: tuple[float, float]
+    signed_kg: float
+    sd_kg: float
+    centre: Centre
+    off_centre: float
+    convention: Convention
+    convention_odds: float
+    arm_odds: float
+    nuisances: tuple[Nuisance, ...]
+    bound_kg: float
+    model: Mapping[str, float]
+    seconds: Array
+    effort_nm: Array
+    predicted_nm: Array
+    used: NDArray[np.bool_]
+    lag_s: float
+    tare_left: Left | None
+
+    @property
+    def has_tare(self) -> bool:
+        """Whether an empty gripper was fitted with it."""
+        return self.tare_left is not None
+
+    @property
+    def left(self) -> Left:
+        """Of the torques of the joints that were fitted."""
+        return Left(self.residual_nm[:, self.used], self.effort_nm[:, self.used])
+
+    @property
+    def residual_nm(self) -> Array:
+        """Measured less predicted, shape (T, J)."""
+        return self.effort_nm - self.predicted_nm
+
+    @property
+    def told_apart(self) -> str:
+        """Whether mass and centre of mass are told apart, in a sentence."""
+        centre = self.centre
+        if centre.is_told:
+            spread = ", ".join(f"{1000 * one:.1f}" for one in centre.sds_m)
+            return f"mass and centre of mass are told apart (sd of the centre: {spread} mm)"
+        if centre.mass_kg <= LEAST_MASS_KG:
+            return "the payload is too light for its centre of mass to show"
+        loose = [
+            f"{axis} (sd {1000 * sd:.0f} mm)"
+            for axis, sd in zip("xyz", centre.sds_m, strict=True)
+            if sd >= _TOLD_SD_M
+        ]
+        most_g = 10 * max(abs(one) for one in centre.kg_for_m)
+        remedy = "turn the hand by 90° about two axes in the motion (the last three joints)"
+        if not self.has_tare:
+            remedy = f"record the empty gripper too (--tare), and {remedy}"
+        return (
+            f"the log cannot tell the payload's mass from its centre along {', '.join(loose)}: "
+            f"1 cm off the tool frame is {most_g:.0f} g; {remedy}"
+        )

@@ -1,0 +1,100 @@
+"""Work spread over processes: the same results, in the same order, however many there are."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing import active_children, get_context
+from typing import Generic, TypeVar
+
+from tunenet_logs.commandline import BLAS_THREADS
+from tunenet_logs.progress import Progress
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class Piece(Generic[Item]):
+    """What one process does in one go.
+
+    Attributes:
+        units: how much that is, for the progress bar.
+        name: shown beside it.
+    """
+
+    item: Item
+    units: int
+    name: str
+
+
+def parallel_map(
+    work: Callable[[Item], Result],
+    pieces: Sequence[Piece[Item]],
+    jobs: int | None,
+    progress: Progress,
+    what: tuple[str, str],
+) -> list[Result]:
+    """`work` on every piece, in `jobs` processes.
+
+    Args:
+        work: a function of a module, so that a process can find it.
+        pieces: what is to be done.
+        jobs: None for all cores.
+        progress: shows what is under way.
+        what: is done, and the name of a unit of it.
+
+    Returns:
+        One result for each piece, in their order.
+    """
+    jobs = min(jobs or len(os.sched_getaffinity(0)), max(1, len(pieces)))
+    total = sum(piece.units for piece in pieces)
+    results: dict[int, Result] = {}
+    with progress.bar(total, *what) as bar, _pool(jobs) as pool:
+        with _interrupts_held():  # this process ends its workers, quietly
+            futures = {pool.submit(work, piece.item): at for at, piece in enumerate(pieces)}
+        for future in as_completed(futures):
+            at = futures[future]
+            results[at] = future.result()
+            bar.set_postfix_str(pieces[at].name, refresh=False)
+            bar.update(pieces[at].units)
+    return [results[at] for at in range(len(pieces))]
+
+
+@contextmanager
+def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
+    """Processes of one thread each; an error or Ctrl-C ends them at once.
+
+    They are used for one job too: how many threads add up a product decides its last bits.
+    """
+    before = {name: os.environ.get(name) for name in BLAS_THREADS}
+    os.environ.update(dict.fromkeys(BLAS_THREADS, "1"))
+    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"))
+    try:
+        yield pool
+    except BaseException:
+        for worker in active_children():
+            worker.terminate()
+        pool.shutdown(wait=False, cancel_futures=True)
+        raise
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name)
+            else:
+                os.environ[name] = value
+    pool.shutdown()
+
+
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """What is started here never sees Ctrl-C; this process does, as soon as it may."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -1,0 +1,64 @@
+"""Recorded pictures in a review."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+
+import numpy as np
+import rerun as rr
+
+from analysis.review.sending import at_seconds
+from analysis.tracking.pictures import readable_frames
+from analysis.tuning import Tuning
+from tunenet_logs.episode import Frame
+from tunenet_logs.errors import LogError
+
+_REDUCED_PX = 640
+"""Longer side of a picture that is made smaller [px]."""
+
+_QUALITY = 85
+"""Of its JPEG, 0 to 100: what the eye cannot tell from the original."""
+
+_MOST_RECORDED = 240
+"""Pictures of a recording in which nothing was found: some seconds of it, at a glance."""
+
+
+def log_recorded_film(stream: rr.RecordingStream, tuning: Tuning) -> bool:
+    """Send what the pictures show where no drop was found in them; False where there are none."""
+    episode = tuning.episode
+    if episode is None or episode.signals or not episode.picture_topics:
+        return False
+    total = sum(one.messages for one in episode.channels if one.topic == episode.picture_topics[0])
+    every = max(1, -(-total // _MOST_RECORDED))
+    frames: list[Frame] = []
+    for index, frame in enumerate(readable_frames(episode, episode.picture_topics[0])):
+        if index % every == 0:
+            with suppress(LogError):
+                frames.append(reduced(frame))
+    if frames:
+        start_ns = frames[0].stamp_ns
+        send_pictures(stream, frames, start_ns)
+    return bool(frames)
+
+
+def send_pictures(stream: rr.RecordingStream, frames: list[Frame], start_ns: int) -> None:
+    """Send JPEG pictures on the log's time, which is 0 at `start_ns`."""
+    seconds = np.array([(frame.stamp_ns - start_ns) * 1e-9 for frame in frames])
+    columns = rr.EncodedImage.columns(
+        blob=[frame.data for frame in frames], media_type=["image/jpeg"] * len(frames)
+    )
+    stream.send_columns("film/picture", indexes=[at_seconds(seconds)], columns=columns)
+
+
+def reduced(frame: Frame) -> Frame:
+    """The picture as a small JPEG."""
+    import cv2
+
+    picture = frame.decode()
+    height, width = picture.shape[:2]
+    scale = min(1.0, _REDUCED_PX / max(height, width))
+    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+    small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    bgr = cv2.cvtColor(small, cv2.COLOR_RGB2BGR)
+    _, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    return Frame(frame.stamp_ns, "jpeg", data.tobytes())

@@ -1,0 +1,126 @@
+"""The Rerun recording of a tuning, with its blueprint: the only room that knows Rerun.
+
+Everything that moves lies on the log's time, so that one play button moves the balls and the
+cursors together. A view shows only what is on the active timeline, so what is drawn for each
+iteration lies beside a static observed curve, for scrubbing `iteration`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+from analysis.drop.detection import DropDetection
+from analysis.drop.review.layout import log_drop
+from analysis.payload.detection import PayloadDetection
+from analysis.payload.review.layout import log_payload
+from analysis.review.pictures import log_recorded_film
+from analysis.review.sending import LOG_TIME, entity_of, send_scalars
+from analysis.review.words import result_words
+from analysis.tuning import Tuning
+from tunenet_logs.wording import one_line
+
+_REVIEWS: dict[type, Callable[[rr.RecordingStream, Tuning], rrb.Container]] = {
+    DropDetection: log_drop,
+    PayloadDetection: log_payload,
+}
+"""What is drawn of what was found, and how it is laid out."""
+
+_MOST_CURVES = 150
+"""Of a log in which nothing was found: more can neither be told apart nor be loaded soon."""
+
+_MOST_VIEWS = 4
+_MOST_NAMES = 13
+_BESIDE = 1.6
+"""How much longer than the curves an axis is that has a legend beside them."""
+_QUANTITIES = {
+    "m": "positions",
+    "rad": "joint positions",
+    "rad/s": "joint velocities",
+    "N·m": "joint torques",
+}
+"""Of a unit."""
+
+
+def write_review(tuning: Tuning, path: Path) -> None:
+    """Write the review of a tuning to `path` (.rrd).
+
+    Raises:
+        OSError: `path` cannot be written.
+    """
+    told = os.fsencode(tuning.log.resolve()) + f" {tuning.preset} {tuning.digest}".encode()
+    identity = hashlib.sha256(told).hexdigest()[:16]
+    stream = rr.RecordingStream(f"tunenet review {tuning.task or 'log'}", recording_id=identity)
+    memory = stream.memory_recording()  # Rerun's own file sink only prints that a disk is full
+    stream.send_recording_name(os.fsencode(tuning.log.name).decode(errors="replace"))
+    text = result_words(tuning)
+    if tuning.found is None:
+        views, left_out = _log_recorded(stream, tuning)
+        text += f"\n\n- {left_out} more curves are not drawn" if left_out else ""
+        layout = _recorded_layout(views, log_recorded_film(stream, tuning))
+    else:
+        layout = _REVIEWS[type(tuning.found)](stream, tuning)
+    stream.send_blueprint(_blueprint(layout))
+    stream.log("result", rr.TextDocument(text, media_type="text/markdown"), static=True)
+    stream.flush()
+    path.write_bytes(memory.drain_as_bytes())
+    stream.disconnect()
+
+
+def _log_recorded(stream: rr.RecordingStream, tuning: Tuning) -> tuple[list[rrb.View], int]:
+    """What was recorded, where the task found nothing in it: views by unit, curves left out."""
+    signals = tuning.episode.signals if tuning.episode else {}
+    curves = [(one, index) for one in signals.values() for index in range(len(one.columns))]
+    by_unit: dict[str, list[str]] = {}
+    for signal, index in curves[:_MOST_CURVES]:
+        column = signal.columns[index]
+        entity = entity_of("recorded", signal.name, column)
+        name = one_line(f"{signal.name} {column}")
+        stream.log(entity, rr.SeriesLines(names=[name]), static=True)
+        send_scalars(stream, entity, signal.seconds, signal.values[:, index])
+        by_unit.setdefault(signal.unit, []).append(entity)
+    last_s = max((float(one.seconds[-1]) for one in signals.values()), default=0.0)
+    views = [_recorded_view(unit, some, last_s) for unit, some in by_unit.items()]
+    return views[:_MOST_VIEWS], max(0, len(curves) - _MOST_CURVES)
+
+
+def _recorded_view(unit: str, entities: list[str], last_s: float) -> rrb.View:
+    """Curves of one unit; their legend, where it fits, stands beside them."""
+    has_legend = len(entities) <= _MOST_NAMES
+    begin, end = 0.0, max(last_s, 1e-3) * (_BESIDE if has_legend else 1.0)
+    seconds = rr.TimeRange(
+        start=rrb.TimeRangeBoundary.absolute(seconds=begin),
+        end=rrb.TimeRangeBoundary.absolute(seconds=end),
+    )
+    return rrb.TimeSeriesView(
+        origin="/recorded",
+        contents=[f"+ {one}" for one in entities],
+        name=one_line(f"recorded {_QUANTITIES.get(unit, 'values')} [{unit}]"),
+        axis_x=rrb.TimeAxis(view_range=seconds),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=has_legend),
+    )
+
+
+def _recorded_layout(views: list[rrb.View], filmed: bool) -> rrb.Container:
+    result = rrb.TextDocumentView(origin="/result", name="result")
+    if filmed:
+        views = [rrb.Spatial2DView(origin="/film", name="recorded pictures")]
+    if not views:
+        return rrb.Horizontal(result)
+    return rrb.Horizontal(rrb.Vertical(*views), result, column_shares=[3, 2])
+
+
+def _blueprint(layout: rrb.Container) -> rrb.Blueprint:
+    return rrb.Blueprint(
+        layout,
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.TimePanel(state="collapsed", timeline=LOG_TIME),
+        auto_views=False,
+        auto_layout=False,
+    )

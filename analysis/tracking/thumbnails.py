@@ -1,0 +1,160 @@
+"""The pictures of a recording, few and small enough to page through on a screen."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+
+from analysis.selection import check_start
+from tunenet_logs.episode import Episode, Frame
+from tunenet_logs.errors import LogError, UsageError
+from tunenet_logs.jpeg import from_bgr, is_whole
+from tunenet_logs.progress import Bar, Progress
+
+MOST_BYTES = 64 * 1024 * 1024
+"""Of all pictures that are kept, as JPEGs."""
+
+MOST_REDUCED = 300
+LONG_SIDE_PX = 960
+_SMALL_BYTES = 200_000
+"""A JPEG of no more is kept as it was recorded."""
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One picture, as a JPEG.
+
+    Attributes:
+        seconds: since the topic's first picture.
+        data: the JPEG.
+        is_reduced: whether it was made here; else it is as recorded.
+    """
+
+    seconds: float
+    data: bytes
+    is_reduced: bool
+
+
+@dataclass(frozen=True)
+class Album:
+    """Pictures in the order of their time, evenly chosen where there are too many.
+
+    Attributes:
+        size_px: (width, height) as recorded, whatever size the shots have.
+    """
+
+    topic: str
+    size_px: tuple[int, int]
+    shots: tuple[Shot, ...]
+
+
+def album_of(
+    episode: Episode,
+    topic: str,
+    start_s: float | None = None,
+    end_s: float | None = None,
+    progress: Progress | None = None,
+) -> Album:
+    """Read a topic's pictures once, forward; memory is bounded whatever the length.
+
+    Args:
+        episode: with frames.
+        topic: which of its picture topics.
+        start_s: leave out what comes before, in seconds since the first picture.
+        end_s: leave out what comes after.
+        progress: where to show how far it is.
+
+    Raises:
+        UsageError: there is no picture that can be decoded.
+        NotFoundError: the part begins past the last one.
+        LogError: the log is damaged.
+    """
+    total = next((one.messages for one in episode.channels if one.topic == topic), None)
+    with (progress or Progress(quiet=True)).bar(total, "pictures", "frame") as bar:
+        shelf = _Shelf()
+        for number, (seconds, frame) in enumerate(_selected(episode, topic, start_s, end_s, bar)):
+            with suppress(LogError):  # a damaged picture
+                shelf.add(number, seconds, frame)
+    if shelf.size_px is None or not shelf.shots:
+        raise UsageError("holds no picture that can be decoded (in the part selected)")
+    return Album(topic, shelf.size_px, tuple(shelf.shots.values()))
+
+
+def _selected(
+    episode: Episode, topic: str, start_s: float | None, end_s: float | None, bar: Bar
+) -> Iterator[tuple[float, Frame]]:
+    """(seconds since the first, frame), where time goes on."""
+    first_ns: int | None = None
+    last_ns, length_s = -1, 0.0
+    for frame in episode.frames(topic):
+        bar.update(1)
+        first_ns = frame.stamp_ns if first_ns is None else first_ns
+        seconds = (frame.stamp_ns - first_ns) * 1e-9
+        length_s = max(length_s, seconds)
+        if start_s is not None and seconds < start_s:
+            continue
+        if (end_s is not None and seconds > end_s) or frame.stamp_ns <= last_ns:
+            continue
+        last_ns = frame.stamp_ns
+        yield seconds, frame
+    check_start(start_s, length_s)
+
+
+class _Shelf:
+    """Keeps every n-th picture; n doubles, and every second is let go, when there are too many.
+
+    Attributes:
+        size_px: of the first picture that can be decoded; None before it.
+        shots: by the number of the picture.
+    """
+
+    def __init__(self) -> None:
+        self.size_px: tuple[int, int] | None = None
+        self.shots: dict[int, Shot] = {}
+        self._step = 1
+        self._held_bytes = 0
+        self._reduced = 0
+
+    def add(self, number: int, seconds: float, frame: Frame) -> None:
+        """Keep a picture if it is its turn.
+
+        Raises:
+            LogError: it is damaged.
+        """
+        if number % self._step:
+            return
+        if self.size_px is None:
+            height, width = frame.decode().shape[:2]
+            self.size_px = (width, height)
+        elif frame.size_px() != self.size_px:
+            return
+        self._put(number, _shot(seconds, frame))
+        while len(self.shots) > 1 and (
+            self._held_bytes > MOST_BYTES or self._reduced > MOST_REDUCED
+        ):
+            self._step *= 2
+            shots, self.shots = self.shots, {}
+            self._held_bytes = self._reduced = 0
+            for at, shot in shots.items():
+                if at % self._step == 0:
+                    self._put(at, shot)
+
+    def _put(self, number: int, shot: Shot) -> None:
+        self.shots[number] = shot
+        self._held_bytes += len(shot.data)
+        self._reduced += shot.is_reduced
+
+
+def _shot(seconds: float, frame: Frame) -> Shot:
+    if frame.size is None and len(frame.data) <= _SMALL_BYTES and is_whole(frame.data):
+        return Shot(seconds, frame.data, is_reduced=False)
+    import cv2
+
+    pixels = frame.decode()
+    height, width = pixels.shape[:2]
+    scale = min(1.0, LONG_SIDE_PX / max(width, height))
+    small_px = (max(1, round(width * scale)), max(1, round(height * scale)))
+    small = cv2.resize(pixels, small_px, interpolation=cv2.INTER_AREA)
+    data = from_bgr(cv2.cvtColor(small, cv2.COLOR_RGB2BGR))
+    return Shot(seconds, data, is_reduced=True)

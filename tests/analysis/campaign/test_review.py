@@ -1,0 +1,173 @@
+"""The review of a campaign: whole, small, and what happened on its timelines."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rerun.chunk import RrdReader
+
+from analysis.cli.review import main
+from tests.analysis.campaign import campaigns
+from tests.analysis.campaign.campaigns import MINUTE_NS, START_NS
+from tests.analysis.drop.test_review import contents, verified
+from tests.conftest import ROOT, Command, film
+from tunenet_logs.images import decode_image
+
+STATES = ("/1_ball", "/2_drop", "/3_tuning", "/4_shot", "/5_outcome")
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three attempts: filmed, after a rejected drop, and given up."""
+    folder = tmp_path_factory.mktemp("campaign")
+    film(folder / "drop_1.mcap", restitution=0.7, height_m=1.0, seconds=2.0, hold_s=0.2, seed=5)
+    campaigns.tune(folder / "drop_1.mcap")
+    campaigns.drop(folder / "drop_2a.mcap", is_bad=True)
+    campaigns.drop(folder / "drop_2b.mcap", 0.72)
+    campaigns.drop(folder / "drop_3.mcap", is_bad=True)
+    campaigns.outcome(folder, 1, drop_log="drop_1.mcap", shot_height_m=0.62, miss_m=0.004)
+    campaigns.outcome(folder, 2, drop_log="drop_2b.mcap", success=False, reason="rim", miss_m=-0.05)
+    campaigns.outcome(folder, 3, "red gel", drop_log="drop_3.mcap", success=False)
+    return folder
+
+
+Reviewed = tuple[Path, str]
+
+
+@pytest.fixture(scope="module")
+def reviewed(campaign: Path, command: Command) -> Reviewed:
+    """The review, and what the command printed."""
+    path = campaign / "review.rrd"
+    done = command("tunenet-review", campaign, "-o", path, "--quiet", "--jobs", 1)
+    assert done.returncode == 0, done.stderr
+    return path, done.stdout
+
+
+@pytest.fixture(scope="module")
+def review(reviewed: Reviewed) -> Path:
+    return reviewed[0]
+
+
+def rows(path: Path, entity: str, timeline: str, component: str) -> list[tuple]:
+    """(time, value) of every row of an entity on a timeline."""
+    found: list[tuple] = []
+    for chunk in RrdReader(path).stream():
+        if str(chunk.entity_path) == entity and timeline in chunk.timeline_names:
+            batch = chunk.to_record_batch().to_pydict()
+            name = next((one for one in batch if one.endswith(f":{component}")), None)
+            if name is not None:
+                found += zip(batch[timeline], batch[name], strict=True)
+    return sorted(found, key=lambda one: one[0])
+
+
+def test_it_is_whole_and_small(review: Path):
+    verified(review)
+    assert review.stat().st_size < 3_000_000
+    assert [one.name for one in review.parent.glob("*.partial")] == []
+
+
+def test_the_lanes_say_what_happened(review: Path):
+    lanes = {
+        entity: [value[0] for _, value in rows(review, entity, "attempt", "state") if value]
+        for entity in STATES
+    }
+    assert lanes["/1_ball"][:3] == ["gel", "gel", "red gel"]
+    assert lanes["/2_drop"][:3] == ["drop", "drop again", "rejected drop"]
+    assert lanes["/3_tuning"][:3] == ["tuned", "tuned", "not tuned"]
+    assert lanes["/4_shot"][:3] == ["shot", "shot", "given up"]
+    assert lanes["/5_outcome"][:3] == ["success", "failure", "failure"]
+    played = [value for _, value in rows(review, "/2_drop", "film_s", "state")]
+    assert played == [["drop"], ["rejected drop"], ["drop again"], ["rejected drop"], []]
+    played = [value for _, value in rows(review, "/5_outcome", "film_s", "state")]
+    assert played == [[], ["success"], [], ["failure"], [], ["failure"], []]
+    times = rows(review, "/5_outcome", "wall_clock", "state")
+    assert len(times) == 3
+
+
+def test_each_attempt_has_its_curves_and_its_words(review: Path):
+    observed = rows(review, "/sheets/overlay/observed", "attempt", "positions")
+    assert [len(places or ()) > 20 for _, places in observed] == [True, True, False]
+    words = [text[0] for _, text in rows(review, "/attempt", "attempt", "text")]
+    assert "**success**" in words[0]
+    assert "shot from 0.620 m" in words[0]
+    assert "rejected drop drop_2a.mcap" in words[1]
+    assert "rim" in words[1]
+    assert "given up without a shot" in words[2]
+
+
+def test_its_video_is_small_and_slow(review: Path):
+    pictures = rows(review, "/film/picture", "film_s", "blob")
+    decoded = [decode_image(bytes(blob[0]), "jpeg") for _, blob in pictures if blob]
+    assert len(decoded) > 40
+    assert {max(one.shape) for one in decoded} == {160}
+    at_s = np.array([time.total_seconds() for time, blob in pictures if blob])
+    assert np.diff(at_s).min() > 0.9 / 30
+
+
+def test_the_tables_hold_the_rates(reviewed: Reviewed):
+    review, said = reviewed
+    assert {"static"} <= contents(review)["/summary"]
+    assert "1/3 = 33 % (95 %: 6 to 79 %)   paper 62 %" in said
+    assert "1/2 = 50 % (95 %: 9 to 91 %)   paper 87 %" in said
+    assert "restitution 0.71" in said
+
+
+def test_the_wall_clock_is_there_where_stamps_are(tmp_path: Path):
+    campaigns.drop_at(tmp_path / "drop_1.mcap", START_NS)
+    campaigns.outcome(tmp_path, 1, drop_log="drop_1.mcap", stamp_ns=START_NS + MINUTE_NS)
+    assert main([str(tmp_path), "-o", str(tmp_path / "a.rrd"), "--quiet"]) == 0
+    ((begun, _),) = rows(tmp_path / "a.rrd", "/2_drop", "wall_clock", "state")
+    ((ended, _),) = rows(tmp_path / "a.rrd", "/5_outcome", "wall_clock", "state")
+    assert (ended - begun).total_seconds() == pytest.approx(60, abs=1)
+
+
+def test_outcomes_alone_are_a_campaign(command: Command, tmp_path: Path):
+    (tmp_path / "today.csv").write_text("ball,success\nred gel,yes\nred gel,no\n/a b,yes\n")
+    result = command("tunenet-review", "today.csv", "-o", "today.rrd", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert "2/3 = 67 %" in result.stdout
+    assert not result.stderr
+    verified(tmp_path / "today.rrd")
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("none", "-o", "a.rrd"), "none: no such file"),
+        ((".", "-o", "a.rrd"), "holds no drop and no outcome"),
+        ((".", "-o", "a.mcap"), "name it a.rrd"),
+        ((".", "-o", "none/a.rrd"), "none: no such folder"),
+        ((".",), "-o"),
+    ],
+)
+def test_wrong_words_are_one_line(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture,
+    words: tuple,
+    told: str,
+):
+    monkeypatch.chdir(tmp_path)
+    assert main(list(words)) == 2
+    error = capsys.readouterr().err
+    assert told in error
+    assert error.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_log_that_cannot_be_read_is_named_and_is_no_attempt(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+):
+    broken = tmp_path / "broken.mcap"
+    broken.write_bytes(bytes(range(200)))
+    output = tmp_path / "a.rrd"
+    words = ["--quiet", "--jobs", "1", "-o", str(output), str(broken)]
+    assert main(words) == 2
+    assert main([*words, str(ROOT / "sample_logs" / "bouncy.mcap")]) == 1
+    told = capsys.readouterr()
+    assert f"{broken}: is not an MCAP log" in told.err
+    assert "nothing kept: 1" in told.err
+    assert "0.85" in told.out
+    verified(output)

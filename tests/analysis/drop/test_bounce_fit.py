@@ -1,0 +1,173 @@
+"""A fitted drop recovers the truth, and says how sure it is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from analysis.drop.bounce_fit import BounceFit, fit_bounce
+from analysis.drop.free_fall import Drop, find_drops
+from recorders.simulated_drop import DropOrder, simulate_drop
+from tunenet_logs.errors import NotFoundError
+
+
+def recorded(**order: object) -> Drop:
+    episode = simulate_drop(DropOrder(**order))  # type: ignore[arg-type]
+    signal = next(iter(episode.signals.values()))
+    return find_drops(signal.seconds, signal.values[:, 2])[0]
+
+
+def fitted(drop: Drop, initial: float) -> BounceFit:
+    fit = fit_bounce(drop, initial)
+    assert fit is not None
+    return fit
+
+
+@pytest.mark.parametrize("restitution", [0.05, 0.2, 0.5, 0.8, 0.97])
+def test_a_clean_drop_of_the_engine_is_recovered(restitution: float):
+    drop = recorded(restitution=restitution, height_m=1.3, rate_hz=120.0)
+    fit = fitted(drop, restitution + 0.003)
+    assert fit.restitution == pytest.approx(restitution, abs=3e-5)
+    low, high = fit.interval95
+    assert low <= restitution <= high
+    assert high - low < 2e-4
+
+
+def test_noise_widens_the_interval_as_the_square_root_says():
+    widths = []
+    for noise_m in (0.001, 0.004):
+        drop = recorded(restitution=0.7, height_m=2.0, noise_m=noise_m, seed=3)
+        low, high = fitted(drop, 0.7).interval95
+        widths.append(high - low)
+    assert widths[1] / widths[0] == pytest.approx(4, rel=0.25)
+
+
+@pytest.mark.parametrize(("restitution", "noise_m"), [(0.3, 0.001), (0.6, 0.005), (0.85, 0.01)])
+def test_a_noisy_drop_is_recovered_within_its_interval(restitution: float, noise_m: float):
+    drop = recorded(restitution=restitution, height_m=2.0, noise_m=noise_m, seed=3)
+    fit = fitted(drop, restitution)
+    assert fit.restitution == pytest.approx(restitution, abs=0.005)
+    low, high = fit.interval95
+    assert low <= restitution <= high
+
+
+@pytest.mark.slow
+def test_intervals_hold_the_truth_as_often_as_they_say():
+    """Of 120, a 95 % interval misses 6; over 13 or none at all is a matter of 1 in 200."""
+    rng = np.random.default_rng(5)
+    missed = 0
+    for seed in range(120):
+        restitution, noise_m = rng.uniform(0.2, 0.9), rng.uniform(0.0005, 0.01)
+        drop = recorded(
+            restitution=restitution, height_m=rng.uniform(1, 4), noise_m=noise_m, seed=seed
+        )
+        low, high = fitted(drop, restitution).interval95
+        missed += not low <= restitution <= high
+    assert 0 < missed < 14
+
+
+def real_drop(
+    restitution: float, *, slope: float = 0.0, drag_1_m: float = 0.0, noise_m: float, seed: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Times and heights at 120 Hz of a ball that falls 1 m, integrated in steps of 0.1 ms."""
+    step, clock, height, speed, first = 1e-4, 0.0, 1.0, 0.0, 0.0
+    times, heights = [-1.0, 0.0], [1.0, 1.0]
+    while clock < 2.6:
+        push = -9.81 - drag_1_m * speed * abs(speed)
+        below = height + speed * step + push * step**2 / 2
+        if below < 0:
+            part = (speed + np.sqrt(speed**2 - 2 * push * height)) / -push
+            clock, height, speed = clock + part, 0.0, speed + push * part
+            first = first or -speed
+            speed *= -restitution * (-speed / first) ** -slope
+            if speed < 0.01:  # at rest
+                break
+        else:
+            clock, height, speed = clock + step, below, speed + push * step
+        times.append(clock)
+        heights.append(height)
+    times.append(clock + 1e-4)
+    heights.append(0.0 if clock < 2.6 else height)
+    seconds = np.arange(-0.4, 2.6, 1 / 120)
+    noise = np.random.default_rng(seed).normal(0.0, noise_m, len(seconds))
+    return seconds, np.interp(seconds, times, heights) + noise
+
+
+def held(count: int, *, averaged: int = 1, **ball: float) -> int:
+    """Of so many drops, how many intervals hold the truth, with a moving average if asked for."""
+    rng = np.random.default_rng(1)
+    found = 0
+    for seed in range(count):
+        truth = float(rng.uniform(0.5, 0.85))
+        seconds, heights = real_drop(truth, seed=seed, **ball)  # type: ignore[arg-type]
+        kernel = np.ones(averaged) / averaged
+        heights = np.convolve(np.pad(heights, averaged // 2, "edge"), kernel, "valid")
+        try:
+            drop = find_drops(seconds, heights)[0]
+        except NotFoundError:
+            continue
+        low, high = fitted(drop, truth + 0.003).interval95
+        found += low <= truth <= high
+    return found
+
+
+def test_an_ideal_ball_s_intervals_are_narrow():
+    seconds, heights = real_drop(0.7, noise_m=0.001, seed=1)
+    low, high = fitted(find_drops(seconds, heights)[0], 0.703).interval95
+    assert low <= 0.7 <= high
+    assert high - low < 0.002
+
+
+@pytest.mark.parametrize(
+    ("ball", "averaged", "least"),
+    [({"slope": 0.1}, 1, 7), ({"drag_1_m": 0.012}, 1, 6), ({}, 3, 6)],
+    ids=["bouncier when slower", "light as a golf ball", "smoothed track"],
+)
+def test_of_eight_real_balls_most_lie_in_their_intervals(
+    ball: dict[str, float], averaged: int, least: int
+):
+    assert held(8, averaged=averaged, noise_m=0.001, **ball) >= least
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("slope", [0.03, 0.1, 0.2])
+def test_intervals_hold_for_a_restitution_that_falls_with_speed(slope: float):
+    assert held(20, slope=slope, noise_m=0.001) >= 17
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("drag_1_m", "least"), [(0.012, 15), (0.018, 17)])
+def test_intervals_hold_for_balls_as_light_as_those_of_golf_and_tennis(drag_1_m: float, least: int):
+    assert held(20, drag_1_m=drag_1_m, noise_m=0.001) >= least
+
+
+@pytest.mark.slow
+def test_intervals_hold_for_smoothed_tracks():
+    assert held(20, averaged=3, noise_m=0.001) >= 16
+
+
+def test_from_0_the_fit_finds_its_way():
+    drop = recorded(restitution=0.1, height_m=1.0, noise_m=0.0005)
+    low, high = fitted(drop, 0.0).interval95
+    assert low <= 0.1 <= high < 0.12
+
+
+def test_too_few_samples_give_no_fit():
+    drop = recorded(restitution=0.5, height_m=1.0)
+    few = slice(24, 33)
+    parts = {**vars(drop), "seconds": drop.seconds[few], "heights_m": drop.heights_m[few]}
+    assert fit_bounce(Drop(**parts), 0.5) is None
+
+
+def test_a_smoothed_track_is_no_surer_than_the_samples_it_was_made_of():
+    widths = {}
+    for averaged in (1, 3):
+        kernel = np.ones(averaged) / averaged
+        found = []
+        for seed in range(4):
+            seconds, heights = real_drop(0.7, noise_m=0.001, seed=seed)
+            padded = np.pad(heights, averaged // 2, "edge")
+            drop = find_drops(seconds, np.convolve(padded, kernel, "valid"))[0]
+            found.append(np.ptp(fitted(drop, 0.703).interval95))
+        widths[averaged] = np.median(found)
+    assert widths[3] > 0.9 * widths[1]

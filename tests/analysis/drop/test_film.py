@@ -1,0 +1,202 @@
+"""From a track to a drop: any camera, height and rate; and what is no drop is named."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from analysis.drop.film import canonical_film, find_filmed_drop
+from analysis.drop.film_checks import film_checks, hop_check, scale_checks
+from analysis.tracking.track import Track
+from recorders.simulators.bounce import Bounce
+from tests.strangers import bounce_heights
+from tunenet_logs.errors import NotFoundError
+
+GRAVITY = 9.81
+
+
+def pixels(heights: np.ndarray, span_px: float, perspective: float) -> np.ndarray:
+    """Image rows, down, of heights [drop heights]."""
+    grow = np.exp(perspective)
+    return 200 - span_px * grow * heights / (1 + (grow - 1) * heights)
+
+
+def track_of(
+    rows: np.ndarray, rate_hz: float, noise_px: float = 0.1, sideways: np.ndarray | None = None
+) -> Track:
+    rng = np.random.default_rng(7)
+    columns = np.full(len(rows), 150.0) if sideways is None else sideways
+    places = np.column_stack([columns, rows]) + rng.normal(0, noise_px, (len(rows), 2))
+    return Track(
+        stamps_ns=np.round(np.arange(len(rows)) * 1e9 / rate_hz).astype(np.int64),
+        places_px=places,
+        radius_px=np.full(len(rows), 5.0),
+        confidence=np.ones(len(rows)),
+        size_px=(320, 240),
+        gravity_px=np.array([0.0, 1000.0]),
+        colour=(200, 80, 30),
+    )
+
+
+def filmed(
+    restitution: float,
+    gap_m: float = 1.0,
+    rate_hz: float = 60.0,
+    perspective: float = 0.0,
+    seconds: float = 2.5,
+    start_s: float = -0.3,
+) -> Track:
+    """A drop in closed form; `start_s` after the release."""
+    times = start_s + np.arange(round(seconds * rate_hz)) / rate_hz
+    heights = bounce_heights(restitution, gap_m, times, GRAVITY) / gap_m
+    return track_of(pixels(heights, 120.0, perspective), rate_hz)
+
+
+@pytest.mark.parametrize("restitution", [0.2, 0.5, 0.8, 0.95])
+@pytest.mark.parametrize("perspective", [-0.5, pytest.param(0.0, marks=pytest.mark.slow), 0.5])
+@pytest.mark.parametrize(("gap_m", "rate_hz"), [(0.5, 120.0), (2.0, 30.0)])
+def test_any_camera_height_and_rate(
+    restitution: float, perspective: float, gap_m: float, rate_hz: float
+):
+    track = filmed(restitution, gap_m, rate_hz, perspective, seconds=6 * np.sqrt(gap_m))
+    found = find_filmed_drop(track, 0)
+    fit = found.projection
+    assert fit.bounce.restitution == pytest.approx(restitution, abs=0.012)
+    assert fit.fall_time_s == pytest.approx(np.sqrt(2 * gap_m / GRAVITY), rel=0.02)
+    assert found.drop.drop_height_m == pytest.approx(gap_m, rel=0.04)
+    observed = canonical_film(found).values[:, 0]
+    exact = bounce_heights(restitution, 1.0, canonical_film(found).axis + 1, gravity=2.0)
+    assert np.nanmax(np.abs(observed - exact)) < 0.06
+
+
+@pytest.mark.parametrize("start_s", [0.1, 0.2, 0.3])
+def test_a_release_that_is_not_seen(start_s: float):
+    found = find_filmed_drop(filmed(0.7, start_s=start_s), 0)
+    assert found.projection.bounce.restitution == pytest.approx(0.7, abs=0.02)
+
+
+def test_a_ball_that_was_lowered_before_it_was_let_go():
+    rate = 60.0
+    hand = np.concatenate([np.linspace(1.15, 1.0, 40), np.full(15, 1.0)])
+    free = bounce_heights(0.6, 1.0, np.arange(120) / rate, GRAVITY)
+    track = track_of(pixels(np.concatenate([hand, free]), 120, 0.2), rate)
+    assert find_filmed_drop(track, 0).projection.bounce.restitution == pytest.approx(0.6, abs=0.012)
+
+
+def test_a_film_that_ends_in_the_second_flight():
+    found = find_filmed_drop(filmed(0.8, seconds=1.6), 0)
+    assert found.projection.bounce.restitution == pytest.approx(0.8, abs=0.01)
+    observed = canonical_film(found).values[:, 0]
+    assert np.isnan(observed[-1])
+    assert np.isfinite(observed[:40]).all()
+
+
+def test_gaps_and_single_outliers():
+    track = filmed(0.65, rate_hz=120)
+    places = track.places_px.copy()
+    rng = np.random.default_rng(2)
+    places[rng.choice(len(places), 30, replace=False)] = np.nan
+    places[[80, 150]] += [0, 12]
+    found = find_filmed_drop(replace(track, places_px=places), 0)
+    assert found.projection.bounce.restitution == pytest.approx(0.65, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("each", "flights", "passes"),
+    [
+        ((0.7, 0.7, 0.7, 0.7), None, True),
+        ((0.7, 0.7, 0.45, 0.8), 2, True),  # on a seam
+        ((0.7, 0.45, 0.85, 0.5), 1, False),
+    ],
+)
+def test_a_ball_is_one_as_far_as_one_law_goes(
+    each: tuple[float, ...], flights: int | None, passes: bool
+):
+    """Restitution within .01, whatever the later bounces are."""
+    fall_s = np.sqrt(2 / GRAVITY)
+    times = (np.arange(150) / 60.0 - 0.3) / fall_s - 1
+    heights = Bounce(0.7, each=each).heights(times)
+    found = find_filmed_drop(track_of(pixels(heights, 120.0, 0.2), 60.0), 0)
+    assert found.projection.bounce.restitution == pytest.approx(0.7, abs=0.01)
+    assert found.flights == flights
+    (check,) = (one for one in film_checks(found) if one.name == "bounces alike")
+    assert check.passed == passes
+    assert not check.fatal
+
+
+def test_where_heights_are_in_the_picture_and_back():
+    fit = find_filmed_drop(filmed(0.6, perspective=0.4), 0).projection
+    heights = np.linspace(-0.02, 1, 30)
+    assert fit.heights(fit.places_px(heights)) == pytest.approx(heights, abs=1e-9)
+
+
+def flight_only() -> np.ndarray:
+    """Thrown up and caught."""
+    times = np.linspace(-0.4, 0.4, 60)
+    return 1 - (times / 0.4) ** 2
+
+
+@pytest.mark.parametrize(
+    ("heights", "reason"),
+    [
+        (np.full(100, 0.5), "moves by only"),
+        (flight_only(), "no bounce is seen"),
+        (np.linspace(1, 0, 100), "no bounce is seen|no free fall|no drop"),
+        (0.5 + 0.5 * np.sin(np.arange(150) / 9), "no bounce|no free fall|no drop"),
+    ],
+)
+def test_what_is_no_drop_is_named(heights: np.ndarray, reason: str):
+    with pytest.raises(NotFoundError, match=reason):
+        find_filmed_drop(track_of(pixels(heights, 120, 0), 60), 0)
+
+
+def failed(track: Track) -> set[str]:
+    found = find_filmed_drop(track, 0)
+    return {one.name for one in film_checks(found) if not one.passed}
+
+
+def test_a_good_film_passes_every_check():
+    assert failed(filmed(0.7)) == set()
+
+
+def test_a_ball_that_is_lost_half_of_the_time_is_not_in_view():
+    track = filmed(0.7, rate_hz=120)
+    places = track.places_px.copy()
+    places[70::2] = np.nan
+    assert "stays in view" in failed(replace(track, places_px=places))
+
+
+def test_a_camera_that_repeats_pictures_is_seen():
+    track = filmed(0.7, rate_hz=120)
+    places = track.places_px.copy()
+    places[1::2] = places[::2][: len(places[1::2])]
+    assert "pictures differ" in failed(replace(track, places_px=places))
+
+
+def test_a_frame_rate_that_cannot_be_is_seen_where_a_length_is_known():
+    found = find_filmed_drop(filmed(0.7, gap_m=1.0), 0)
+    assert all(one.passed for one in scale_checks(found, None, 1.0))
+    assert not all(one.passed for one in scale_checks(found, None, 4.0))
+    diameter_m = 1.0 * 10 / 120
+    assert all(one.passed for one in scale_checks(found, diameter_m, None))
+    assert not all(one.passed for one in scale_checks(found, 4 * diameter_m, None))
+    assert scale_checks(found, None, None) == []
+
+
+@pytest.mark.parametrize("unknown", [0.0, -1.0, np.nan, np.inf])
+def test_a_length_that_cannot_be_is_not_known(unknown: float):
+    found = find_filmed_drop(filmed(0.7, gap_m=1.0), 0)
+    assert scale_checks(found, unknown, None) == []
+    assert scale_checks(found, unknown, unknown) == []
+    assert scale_checks(found, unknown, 1.0) == scale_checks(found, None, 1.0) != []
+    assert scale_checks(found, 0.08, unknown) == scale_checks(found, 0.08, None) != []
+
+
+@pytest.mark.parametrize(("restitution", "stands_out"), [(0.08, False), (0.2, True)])
+def test_a_bounce_is_as_high_as_the_square_of_its_restitution(restitution: float, stands_out: bool):
+    """Of a fall of 120 px, 0.8 px, less than any noise leaves, and 4.8 px."""
+    check = hop_check(find_filmed_drop(filmed(0.7), 0), restitution)
+    assert float(check.detail.split()[0]) == pytest.approx(120 * restitution**2, rel=0.03, abs=0.05)
+    assert check.passed == stands_out

@@ -1,0 +1,177 @@
+"""The review is whole, opens with its own blueprint, and holds what it should on both timelines."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.writer import Writer
+from rerun.chunk import RrdReader
+
+from analysis.drop.review.model_path import projected_places
+from analysis.drop.review.story import review_data
+from analysis.review.tuning_review import write_review
+from analysis.tuning import Options, Tuning, tune_log
+from tests.conftest import BIN, record
+from tests.strangers import Stranger, write_poses
+from tunenet_logs.episode import EpisodeInfo
+from tunenet_logs.reader import read_episode
+from tunenet_logs.writer import EpisodeWriter
+
+
+def verified(path: Path) -> None:
+    words = [BIN / "rerun", "rrd", "verify", path]
+    result = subprocess.run(words, capture_output=True, text=True, timeout=60)
+    assert result.returncode == 0, result.stderr
+
+
+def contents(path: Path) -> dict[str, set[str]]:
+    """Timelines of each entity; "static" where it has no time."""
+    found: dict[str, set[str]] = {}
+    for chunk in RrdReader(path).stream():
+        times = set(chunk.timeline_names) if not chunk.is_static else {"static"}
+        found.setdefault(str(chunk.entity_path), set()).update(times)
+    return found
+
+
+@pytest.fixture(scope="module")
+def tuned(tmp_path_factory: pytest.TempPathFactory) -> Tuning:
+    path = tmp_path_factory.mktemp("drop") / "drop.mcap"
+    return tune_log(record(path, restitution=0.7, height_m=1.0), Options())
+
+
+@pytest.fixture(scope="module")
+def filmed(filmed_log: Path) -> Tuning:
+    return tune_log(filmed_log, Options())
+
+
+def test_every_iteration_lies_on_the_logs_time(tuned: Tuning, tmp_path: Path):
+    write_review(tuned, tmp_path / "a.rrd")
+    verified(tmp_path / "a.rrd")
+    entities = contents(tmp_path / "a.rrd")
+    for k in range(6):
+        for place in (f"/height/k{k}", f"/residual/k{k}", f"/scene/k{k}"):
+            assert entities[place] == {"static", "log_time_s"}, place
+    for place in ("/height/observed", "/scene/observed"):
+        assert entities[place] == {"static", "log_time_s"}
+    assert entities["/result"] == {"static"}
+
+
+def test_iterations_can_be_scrubbed_over_a_fixed_observed_curve(tuned: Tuning, tmp_path: Path):
+    write_review(tuned, tmp_path / "a.rrd")
+    entities = contents(tmp_path / "a.rrd")
+    assert entities["/sheets/heights/observed"] == {"static"}
+    assert entities["/sheets/heights/simulated"] >= {"iteration"}
+    assert entities["/sheets/convergence/values"] == {"static"}
+    assert entities["/step"] >= {"iteration"}
+
+
+@pytest.mark.parametrize("preset", ["paper", "paper-code"])
+def test_the_papers_presets_have_a_review_too(tmp_path: Path, preset: str):
+    path = record(tmp_path / "a.mcap", preset="paper", restitution=0.5, height_m=4.0)
+    write_review(tune_log(path, Options(preset=preset)), tmp_path / "a.rrd")
+    verified(tmp_path / "a.rrd")
+
+
+def test_a_rejected_log_shows_what_was_recorded(tmp_path: Path):
+    path = record(tmp_path / "a.mcap", restitution=0.0, height_m=1.0)
+    write_review(tune_log(path, Options()), tmp_path / "a.rrd")
+    verified(tmp_path / "a.rrd")
+    assert "/recorded/ball/pose/z" in contents(tmp_path / "a.rrd")
+
+
+def test_names_of_a_stranger_do_no_harm(tmp_path: Path):
+    stamps, positions = Stranger(0.0).samples()
+    topic = "/../we ird/тема//[x]{y}/\x07"
+    write_poses(tmp_path / "a.mcap", stamps, positions, topic=topic)
+    write_review(tune_log(tmp_path / "a.mcap", Options()), tmp_path / "a.rrd")
+    verified(tmp_path / "a.rrd")
+
+
+def test_names_of_a_stranger_are_parts_of_a_path(tmp_path: Path, capfd: pytest.CaptureFixture):
+    stamps, positions = Stranger(0.0).samples()
+    stamps, positions = stamps[:60], positions[:60]  # nothing falls yet
+    write_poses(tmp_path / "a.mcap", stamps, positions, topic="/bäll pose/\x1b[31mx//y")
+    write_review(tune_log(tmp_path / "a.mcap", Options()), tmp_path / "a.rrd")
+    assert capfd.readouterr() == ("", "")
+    assert r"/recorded/bäll\ pose/\u{001B}\[31mx/y/z" in contents(tmp_path / "a.rrd")
+
+
+def test_of_thousands_of_signals_the_first_are_drawn(tmp_path: Path):
+    write_channels(tmp_path / "a.mcap", 400)
+    tuning = tune_log(tmp_path / "a.mcap", Options())
+    assert len(tuning.episode.signals) == 400  # type: ignore[union-attr]
+    write_review(tuning, tmp_path / "a.rrd")
+    verified(tmp_path / "a.rrd")
+    recorded = [one for one in contents(tmp_path / "a.rrd") if one.startswith("/recorded/")]
+    assert len(recorded) == 150
+    assert b"1050 more curves are not drawn" in (tmp_path / "a.rrd").read_bytes()
+
+
+def write_channels(path: Path, count: int) -> None:
+    point = {"x": 0.0, "y": 0.0, "z": 1.0}
+    data = json.dumps({"timestamp": {"sec": 1, "nsec": 0}, "pose": {"position": point}}).encode()
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("foxglove.PoseInFrame", "jsonschema", b"{}")
+        for number in range(count):
+            channel = writer.register_channel(f"/ch{number}", "json", schema)
+            writer.add_message(channel, 1, data, 1)
+        writer.finish()
+
+
+def test_a_place_that_cannot_be_written_raises(tuned: Tuning):
+    with pytest.raises(OSError, match="proc"):
+        write_review(tuned, Path("/proc/nowhere/a.rrd"))
+
+
+def test_the_simulated_curve_of_the_result_lies_on_the_observed_one(tuned: Tuning):
+    story = review_data(tuned)
+    off = story.simulated[-1].minus(story.observed).heights_m
+    assert np.abs(off).max() < 1e-3
+
+
+def test_the_papers_rollouts_lie_over_the_observed_curve_too(tmp_path: Path):
+    path = record(tmp_path / "a.mcap", preset="paper", restitution=0.55, height_m=4.0)
+    story = review_data(tune_log(path, Options(preset="paper-code")))
+    off = story.simulated[-1].minus(story.observed).heights_m
+    falling = story.observed.seconds < story.impact_s
+    assert np.abs(off[falling]).max() < 0.05
+    assert np.sqrt(np.mean(off**2)) < 0.1
+
+
+def test_a_film_lies_under_its_balls_on_the_logs_time(filmed: Tuning, tmp_path: Path):
+    write_review(filmed, tmp_path / "a.rrd")
+    verified(tmp_path / "a.rrd")
+    entities = contents(tmp_path / "a.rrd")
+    for place in ("picture", "observed", "trail", *(f"k{k}" for k in range(6))):
+        assert entities[f"/film/{place}"] == {"static", "log_time_s"}, place
+    pictures = [frame.data for frame in filmed.episode.frames()]  # type: ignore[union-attr]
+    assert (tmp_path / "a.rrd").stat().st_size > 0.9 * sum(map(len, pictures))
+
+
+def test_the_simulated_balls_are_projected_onto_the_observed_one(filmed: Tuning):
+    film, story = filmed.found.film, review_data(filmed)
+    places = film.track.places_px[film.used]
+    late = film.drop.seconds > story.impact_s + 0.1
+    first, last = (
+        projected_places(film, story.simulated[k], story.drop_height_m)[late] for k in (0, -1)
+    )
+    assert np.sqrt(np.mean((last - places[late]) ** 2)) < 0.5
+    assert np.sqrt(np.mean((first - places[late]) ** 2)) > 5
+
+
+def test_a_rejected_film_shows_its_pictures(filmed_log: Path, tmp_path: Path):
+    frames = list(read_episode(filmed_log).frames())
+    with EpisodeWriter(tmp_path / "a.mcap", EpisodeInfo(), live=False) as writer:
+        for frame in frames[:15]:
+            writer.write_frame("/camera", frame)
+    tuning = tune_log(tmp_path / "a.mcap", Options())
+    assert tuning.verdict == "rejected"
+    write_review(tuning, tmp_path / "a.rrd")
+    verified(tmp_path / "a.rrd")
+    assert contents(tmp_path / "a.rrd")["/film/picture"] == {"log_time_s"}

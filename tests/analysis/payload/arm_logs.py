@@ -1,0 +1,67 @@
+"""Logs of an arm whose truth is known: torques by the engine, never by the fit's own model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from analysis.payload.arm_log import read_arm_log
+from analysis.payload.arm_motion import ArmMotion, arm_motion
+from recorders.simulators.arm.description import Payload, jaco
+from recorders.simulators.arm.disturbances import Disturbances, real_driver
+from recorders.simulators.arm.driver import driver_episode
+from recorders.simulators.arm.path import circle, random_path
+from tunenet_logs.episode import Episode, Signal
+
+ARM = jaco()
+CLEAN = Disturbances(rate_hz=60.0)
+FINGERS = ("finger_1", "finger_2", "finger_3", "finger_tip_1", "finger_tip_2", "finger_tip_3")
+FULL_HZ = 500.0
+SECONDS = 5.2
+
+
+def circle_log(payload: Payload | None, disturbances: Disturbances = CLEAN) -> Episode:
+    return driver_episode(ARM, circle(FULL_HZ, SECONDS), payload, disturbances)
+
+
+def any_log(payload: Payload | None, seed: int, disturbances: Disturbances = CLEAN) -> Episode:
+    return driver_episode(ARM, random_path(ARM, seed, FULL_HZ, SECONDS), payload, disturbances)
+
+
+def motion_of(episode: Episode) -> ArmMotion:
+    return arm_motion(read_arm_log(episode, ARM))
+
+
+def driver(seed: int, rate_hz: float = 65.0) -> Disturbances:
+    return real_driver(seed, ARM, rate_hz)
+
+
+def changed(episode: Episode, **fields) -> Episode:
+    """The same with functions applied to its signals: `position`, `velocity`, `effort`."""
+    signals = dict(episode.signals)
+    for name, change in fields.items():
+        full = f"/joint_states.{name}"
+        signals[full] = change(signals[full])
+    return replace(episode, signals=signals)
+
+
+def with_values(change):
+    return lambda signal: replace(signal, values=change(np.array(signal.values)))
+
+
+def renamed(signal: Signal, columns: tuple[str, ...]) -> Signal:
+    return replace(signal, columns=columns)
+
+
+def with_fingers(signal: Signal) -> Signal:
+    """13 joints, as Kinova's driver names them, in another order than the arm's."""
+    names = (*signal.columns, *(f"j2s7s300_joint_{one}" for one in FINGERS))
+    values = np.concatenate([signal.values, np.zeros((len(signal.values), len(FINGERS)))], axis=1)
+    order = np.random.default_rng(3).permutation(len(names))
+    return replace(signal, columns=tuple(names[at] for at in order), values=values[:, order])
+
+
+def on_topic(signal: Signal, topic: str, columns: tuple[str, ...] | None = None) -> Signal:
+    ending = signal.name.rsplit(".", 1)[1]
+    return replace(signal, name=f"{topic}.{ending}", columns=columns or signal.columns)

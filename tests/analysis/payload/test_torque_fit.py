@@ -1,0 +1,249 @@
+"""Payloads are found in torques that another library made, with all that a driver adds."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from analysis.payload import torque_fit as payload_fit
+from analysis.payload.arm_log import read_arm_log
+from analysis.payload.arm_model import ArmModel
+from analysis.payload.arm_motion import arm_motion
+from analysis.payload.evidence import Model
+from analysis.payload.terms import Convention
+from analysis.payload.torque_fit import fit_payload
+from analysis.payload.two_rollout_mass import secant
+from recorders.simulators.arm.description import Payload
+from recorders.simulators.arm.disturbances import Disturbances
+from recorders.simulators.arm.driver import driver_episode
+from recorders.simulators.arm.path import circle, random_path
+from tests.analysis.payload.arm_logs import (
+    ARM,
+    CLEAN,
+    any_log,
+    changed,
+    circle_log,
+    driver,
+    motion_of,
+    on_topic,
+    with_fingers,
+    with_values,
+)
+
+MASS_KG = 0.62
+HELD = Payload(MASS_KG)
+
+
+@pytest.fixture(scope="module")
+def real():
+    """A circle with everything that a real driver does, and its fit."""
+    episode = circle_log(HELD, driver(11))
+    return episode, fit_payload(ARM, motion_of(episode))
+
+
+@pytest.mark.parametrize("mass_kg", [0.0, 0.3, 2.0])
+def test_a_clean_log_is_answered_to_the_gram(mass_kg):
+    fit = fit_payload(ARM, motion_of(circle_log(Payload(mass_kg))))
+    assert fit.mass_kg == pytest.approx(mass_kg, abs=1e-3)
+    assert fit.interval95[0] <= mass_kg <= fit.interval95[1]
+    assert max(fit.model.values()) == 0
+
+
+def noisy_fit(seed: int):
+    noisy = replace(CLEAN, torque_noise_nm=0.2, noise_seed=seed)
+    return fit_payload(ARM, motion_of(circle_log(HELD, noisy)))
+
+
+def test_white_noise_costs_a_few_grams():
+    for seed in (0, 1, 2):
+        fit = noisy_fit(seed)
+        assert fit.mass_kg == pytest.approx(MASS_KG, abs=0.01)
+        assert fit.bound_kg < 0.004
+
+
+@pytest.mark.slow
+def test_white_noise_is_answered_at_the_bound():
+    fits = [noisy_fit(seed) for seed in range(12)]
+    errors = [(fit.mass_kg - MASS_KG) / fit.bound_kg for fit in fits]
+    assert np.sqrt(np.mean(np.square(errors))) < 1.5
+    assert np.median([fit.bound_kg for fit in fits]) < 0.004
+
+
+def test_a_real_drivers_log_and_its_interval(real):
+    _, fit = real
+    assert fit.interval95[0] < MASS_KG < fit.interval95[1]
+    assert abs(fit.mass_kg - MASS_KG) < 0.15
+    assert 0.02 < fit.sd_kg < 0.08
+
+
+@pytest.mark.parametrize(
+    "seed", [21, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (22, 23))]
+)
+def test_a_tare_takes_out_what_both_share(seed):
+    disturbances = driver(seed)
+    tare = motion_of(circle_log(None, disturbances.another_run()))
+    fit = fit_payload(ARM, motion_of(circle_log(HELD, disturbances)), tare)
+    assert fit.mass_kg == pytest.approx(MASS_KG, abs=0.03)
+    assert fit.sd_kg < 0.015
+    found = secant(ARM, motion_of(circle_log(HELD, disturbances)), fit.convention, fit.lag_s, tare)
+    assert found == pytest.approx(MASS_KG, abs=0.08)
+
+
+def test_a_tare_may_be_another_motion():
+    disturbances = driver(31)
+    tare = motion_of(any_log(None, 5, disturbances.another_run()))
+    fit = fit_payload(ARM, motion_of(any_log(HELD, 6, disturbances)), tare)
+    assert fit.mass_kg == pytest.approx(MASS_KG, abs=0.06)
+    assert fit.interval95[0] < MASS_KG < fit.interval95[1]
+
+
+def test_the_centre_of_mass_is_told_with_a_tare():
+    disturbances = driver(41)
+    com_m = (0.025, -0.02, 0.015)
+    tare = motion_of(circle_log(None, disturbances.another_run()))
+    fit = fit_payload(ARM, motion_of(circle_log(Payload(0.9, com_m), disturbances)), tare)
+    assert fit.centre.is_told
+    assert fit.off_centre > 0.95
+    assert "told apart" in fit.told_apart
+    assert fit.mass_kg == pytest.approx(0.9, abs=0.04)
+    np.testing.assert_allclose(fit.centre.com_m, com_m, atol=0.02)
+    sds = np.abs(np.array(fit.centre.com_m) - com_m) / fit.centre.sds_m
+    assert sds.max() < 3
+
+
+def test_without_a_tare_the_centre_stays_open(real):
+    _, fit = real
+    assert not fit.centre.is_told
+    assert "cannot tell" in fit.told_apart
+    assert "--tare" in fit.told_apart
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("has_gravity", [True, False])
+def test_sign_and_gravity_are_found(sign, has_gravity):
+    episode = circle_log(HELD, replace(driver(51), rate_hz=60.0, clock=CLEAN.clock, jitter_s=0.0))
+    motion = motion_of(episode)
+    position, _, _ = motion.at(motion.seconds)
+    held_nm = 0.0 if has_gravity else ArmModel(ARM).held_nm(position)
+    told = replace(motion, effort=sign * (motion.effort - held_nm))
+    fit = fit_payload(ARM, told)
+    assert fit.convention == Convention(sign, has_gravity)
+    assert fit.mass_kg == pytest.approx(MASS_KG, abs=0.15)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"position": with_values(np.degrees)},
+        {"position": with_values(lambda q: q % (2 * np.pi))},
+        {"position": with_values(lambda q: (np.degrees(q) + 180) % 360 - 180)},
+        {"position": with_fingers, "velocity": with_fingers, "effort": with_fingers},
+        {"effort": lambda one: on_topic(one, "/joint_states", tuple("1234567"))},
+        {"velocity": with_values(np.degrees)},
+    ],
+    ids=["degrees", "0..2 pi", "-180..180", "13 shuffled names", "numbers", "wrong velocities"],
+)
+def test_however_it_is_written_the_mass_is_the_same(real, change):
+    episode, fit = real
+    found = fit_payload(ARM, motion_of(changed(episode, **change)))
+    assert found.mass_kg == pytest.approx(fit.mass_kg, abs=1e-6)
+
+
+def tared_kg(disturbances: Disturbances) -> float:
+    tare = motion_of(circle_log(None, disturbances.another_run()))
+    return fit_payload(ARM, motion_of(circle_log(HELD, disturbances)), tare).mass_kg
+
+
+def test_stale_repeats_jitter_and_slow_drivers():
+    """Against the same arm by a driver with new values in each of 120 messages a second."""
+    clear = {"clock": CLEAN.clock, "jitter_s": 0.0, "torque_noise_nm": 0.02}
+    best_kg = tared_kg(replace(driver(61), rate_hz=120.0, **clear))
+    for rate_hz, within_kg in ((65.0, 0.01), (10.0, 0.03)):
+        assert tared_kg(driver(61, rate_hz)) == pytest.approx(best_kg, abs=within_kg)
+
+
+@pytest.mark.parametrize("drift_nm", [0.05, 0.15])
+def test_sensors_that_drift_after_the_tare_widen_the_interval(drift_nm):
+    disturbances = driver(81)
+    off = np.array(disturbances.offset_nm) + drift_nm * np.random.default_rng(8).normal(0, 1, 7)
+    drifted = replace(disturbances.another_run(), offset_nm=tuple(off.tolist()))
+    motion, empty = (circle_log(HELD, disturbances), circle_log(None, drifted))
+    fit = fit_payload(ARM, motion_of(motion), motion_of(empty))
+    assert fit.interval95[0] < MASS_KG < fit.interval95[1]
+    assert fit.mass_kg == pytest.approx(MASS_KG, abs=0.05)
+
+
+def test_another_arm():
+    arm = replace(ARM, joints=ARM.joints[:6])
+    path = random_path(arm, 3, 500.0, 5.2)
+    episode = driver_episode(arm, path, HELD, replace(CLEAN, torque_noise_nm=0.1))
+    fit = fit_payload(arm, arm_motion(read_arm_log(episode, arm)))
+    assert fit.mass_kg == pytest.approx(MASS_KG, abs=0.01)
+
+
+@pytest.mark.parametrize("seconds", [10.0, pytest.param(60.0, marks=pytest.mark.slow)])
+def test_a_long_log_at_1_khz(seconds):
+    disturbances = replace(CLEAN, rate_hz=None, torque_noise_nm=0.2, noise_seed=4)
+    motion = motion_of(driver_episode(ARM, circle(1000.0, seconds), HELD, disturbances))
+    assert len(motion.seconds) <= 1500
+    fit = fit_payload(ARM, motion)
+    assert fit.mass_kg == pytest.approx(MASS_KG, abs=1e-3)
+    assert fit.sd_kg < 5e-4
+
+
+def test_spikes_and_a_dead_joint(real):
+    episode, fit = real
+
+    def broken(values):
+        values[::37, 1] += 40
+        values[:, 6] = 0
+        return values
+
+    log = read_arm_log(changed(episode, effort=with_values(broken)), ARM)
+    found = fit_payload(ARM, arm_motion(log))
+    assert list(found.used) == [True] * 6 + [False]
+    assert found.mass_kg == pytest.approx(fit.mass_kg, abs=0.03)
+
+
+def test_the_fit_explains_the_torques(real):
+    _, fit = real
+    assert np.sqrt(np.mean(fit.residual_nm**2)) == pytest.approx(0.2, abs=0.02)
+    np.testing.assert_allclose(np.std(fit.residual_nm, axis=0), 0.2, atol=0.03)
+    assert fit.lag_s == pytest.approx(driver(11).lag_s, abs=0.03)
+    names = [one.name for one in fit.nuisances]
+    assert len(names) == len(set(names))
+
+
+def test_nothing_is_drawn(real):
+    episode, fit = real
+    assert fit_payload(ARM, motion_of(episode)).interval95 == fit.interval95
+
+
+def test_the_secant_is_right_on_a_clean_log():
+    motion = motion_of(circle_log(HELD))
+    found = secant(ARM, motion, Convention(1, has_gravity=True), 0.0)
+    assert found == pytest.approx(MASS_KG, abs=1e-3)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_secant_beside_a_tare_is_right_whichever_way_torques_count(sign):
+    """What the sensors are off by is in both logs: within a gram, as on a clean log."""
+    off = replace(CLEAN, offset_nm=(0.3, -0.4, 0.2, 0.5, -0.3, 0.4, -0.2))
+    held, empty = (
+        replace(motion, effort=sign * motion.effort)
+        for motion in (motion_of(circle_log(HELD, off)), motion_of(circle_log(None, off)))
+    )
+    found = secant(ARM, held, Convention(sign, has_gravity=True), 0.0, empty)
+    assert found == pytest.approx(MASS_KG, abs=1e-3)
+
+
+def test_the_centres_error_is_that_of_a_ratio():
+    """First moments over mass: drawn from their covariance, the quotients spread as is said."""
+    rng = np.random.default_rng(3)
+    mass_kg, com_m = 0.6, np.array([0.18, -0.05, 0.02])
+    root = rng.normal(0.0, 0.004, (4, 4)) + np.diag([0.02, 0.004, 0.004, 0.004])
+    model = Model({}, 1.0, np.array([mass_kg, *(mass_kg * com_m)]), root @ root.T)
+    drawn = rng.multivariate_normal(model.means, model.watched, 200_000)
+    centre = payload_fit._centre((model,))
+    assert centre.com_m == pytest.approx(com_m)
+    assert centre.sds_m == pytest.approx((drawn[:, 1:] / drawn[:, :1]).std(axis=0), rel=0.03)

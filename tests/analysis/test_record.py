@@ -1,0 +1,129 @@
+"""The JSON is the contract's, and holds no truth."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from analysis.drop.checks import sure_check
+from analysis.experiment import ExtraEstimate
+from analysis.record import interval_words, row_of, table, to_json
+from analysis.review.words import result_words
+from analysis.tuning import Options, tune_log
+from tests.conftest import ROOT, record
+
+
+def test_the_json_has_the_contracts_keys(drop_log: Path):
+    report = json.loads(to_json(tune_log(drop_log, Options())))
+    assert report["log"] == "drop.mcap"
+    assert report["task"] == "drop"
+    assert report["verdict"] == "ok"
+    assert report["reason"] is None
+    restitution = report["parameters"]["restitution"]
+    low, high = restitution.pop("interval95")
+    assert 0.6999 < low < 0.7 < high < 0.7001
+    assert restitution == {"value": pytest.approx(0.7, abs=1e-4), "unit": "1"}
+    assert report["method"] == "tunenet+refine"
+    assert report["rollouts"] == 7
+    assert [step["k"] for step in report["iterations"]] == list(range(7))
+    assert report["iterations"][0]["restitution"] == 0
+    (bounce,) = report["bounces"]
+    assert bounce["impact_speed"] == pytest.approx((2 * 9.80665) ** 0.5, rel=1e-3)
+    assert bounce["unit"] == "m/s"
+    assert report["cross_check"]["agrees"] is True
+    assert report["cross_check"]["value"] == pytest.approx(0.7, abs=1e-3)
+    assert all({"name", "passed", "detail"} == set(check) for check in report["checks"])
+    assert report["simulator"]["engine"].startswith("pybullet ")
+    assert report["simulator"]["preset"] == "default"
+    assert report["simulator"]["step_hz"] == pytest.approx(60)
+    assert set(report["seconds"]) == {"read", "observe", "tune", "total"}
+    assert "truth" not in json.dumps(report)
+
+
+def test_a_rejected_log_has_a_reason_and_no_number(tmp_path: Path):
+    path = record(tmp_path / "a.mcap", restitution=0.0, height_m=1.0)
+    report = json.loads(to_json(tune_log(path, Options())))
+    assert report["verdict"] == "rejected"
+    assert report["parameters"] is None
+    assert report["bounces"] == []
+    assert "does not bounce" in report["reason"]
+
+
+def test_a_file_that_is_no_log_was_tuned_by_no_method(tmp_path: Path):
+    (tmp_path / "b.mcap").write_text("no log")
+    assert json.loads(to_json(tune_log(tmp_path / "b.mcap", Options())))["method"] is None
+
+
+def test_a_failed_check_says_what_to_do_at_the_next_drop(drop_log: Path):
+    tuning = tune_log(drop_log, Options())
+    short = replace(tuning.checks[1], passed=False)
+    tuning = replace(tuning, checks=(tuning.checks[0], short, *tuning.checks[2:]))
+    checks = json.loads(to_json(tuning))["checks"]
+    assert checks[1]["advice"] == "record until the ball lies still"
+    assert "advice" not in checks[0]
+    assert all(one.advice for one in tuning.checks)
+
+
+def test_the_table_shows_the_truth_only_where_a_log_states_one(drop_log: Path, tmp_path: Path):
+    (tmp_path / "b.mcap").write_text("no log")
+    known, unknown = (row_of(tune_log(path, Options())) for path in (drop_log, tmp_path / "b.mcap"))
+    assert "truth" in table([known, unknown]).splitlines()[0]
+    assert "truth" not in table([unknown]).splitlines()[0]
+    assert "is not an MCAP log" in table([unknown])
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "words"),
+    [
+        (0.61981, 0.62032, "0.6198 to 0.6203"),
+        (0.7000012, 0.7000391, "0.70000 to 0.70004"),
+        (0.3500001, 0.3500034, "0.350000 to 0.350003"),
+        (0.34999996, 0.35000003, "0.349999 to 0.350001"),
+        (0.0, 0.00002, "0.00000 to 0.00002"),
+    ],
+)
+def test_an_interval_has_as_many_decimals_as_its_width_asks_for(
+    low: float, high: float, words: str
+):
+    assert interval_words(low, high) == words
+
+
+def test_no_interval_reads_as_certainty(drop_log: Path):
+    tuning = tune_log(drop_log, Options())
+    assert tuning.interval95 is not None
+    words = interval_words(*tuning.interval95[0])
+    low, high = words.split(" to ")
+    assert low != high
+    assert words in table([row_of(tuning)])
+    assert f"95 %: {words}" in result_words(tuning)
+
+
+@pytest.mark.parametrize(
+    ("half", "shown"), [(0.0123, "±0.012 "), (0.02004, "±0.02004 "), (0.031, "±0.031 ")]
+)
+def test_a_failed_check_shows_by_how_much(half: float, shown: str):
+    check = sure_check(0.5 - half, 0.5 + half)
+    assert check.passed == (half < 0.02)
+    assert shown in check.detail
+    assert "(at most 0.02)" in check.detail
+
+
+def test_where_a_check_fails_nothing_has_an_interval():
+    path = ROOT / "sample_logs" / "noisy.mcap"
+    tuning = tune_log(path, Options())
+    assert tuning.refined is not None
+    beside = ExtraEstimate("payload_com", "m", np.zeros(3), np.zeros((3, 2)))
+    first = replace(tuning.checks[0], passed=False)
+    doubted = replace(
+        tuning,
+        refined=replace(tuning.refined, further=(beside,)),
+        checks=(first, *tuning.checks[1:]),
+        verdict="suspect",
+    )
+    parameters = json.loads(to_json(doubted))["parameters"]
+    assert parameters["restitution"]["interval95"] is None
+    assert parameters["payload_com"]["interval95"] is None

@@ -1,0 +1,258 @@
+"""The page on which the ball of a recording is marked, over real HTTP, beside a real tuning."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from analysis.tracking.ball_picker import Marking
+from analysis.tracking.pictures import Pictures
+from analysis.tracking.thumbnails import Album, album_of
+from recorders.filmed_drop import FilmOrder, film_drop
+from recorders.session import record_episode
+from recorders.simulated_drop import DropOrder
+from tests.analysis.tracking.test_thumbnails import episode_of
+from tests.conftest import BIN, Command
+from tests.pages import Page, assert_for_this_machine_alone
+from tunenet_logs.episode import EpisodeInfo, Frame
+from tunenet_logs.progress import Progress
+from tunenet_logs.reader import read_episode
+
+BALL_PX, BALL_PICTURE = (159.5, 119.0), 21
+"""Where the ball of `film` is in flight."""
+
+
+class MarkingPage(Page):
+    """The page on which the ball is marked."""
+
+    def tune(self, x: object, y: object, picture: object) -> int:
+        return self.ask("POST", "/tune", json.dumps({"x": x, "y": y, "picture": picture}))[0]
+
+
+@contextmanager
+def tuning(log: Path, *words: str) -> Iterator[tuple[MarkingPage, subprocess.Popen[str]]]:
+    process = subprocess.Popen(
+        [BIN / "tunenet-tune", log, "--preview", *words],
+        cwd=log.parent, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        assert process.stderr is not None
+        line = process.stderr.readline()
+        assert line.startswith("mark the ball at http://127.0.0.1:"), line
+        yield MarkingPage(line.removeprefix("mark the ball at ").strip()), process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("film") / "film.mcap"
+    order = DropOrder(restitution=0.6, height_m=1.0, seconds=1.35, seed=3)
+    quiet = Progress(quiet=True)
+    record_episode(film_drop(order, FilmOrder()), path, overwrite=False, progress=quiet)
+    return path
+
+
+@pytest.fixture(scope="module")
+def whole(film: Path) -> Album:
+    return album_of(read_episode(film), "/camera/image_raw/compressed")
+
+
+@pytest.fixture
+def page(whole: Album) -> Iterator[tuple[MarkingPage, Marking]]:
+    marking = Marking(whole)
+    try:
+        yield MarkingPage(marking.url), marking
+    finally:
+        marking.close()
+
+
+@pytest.fixture
+def still(film: Path, tmp_path: Path) -> Path:
+    """The film after 0.2 s of the room without a ball, and a pause until 1 s."""
+    frames = list(read_episode(film).frames())
+    empty = np.median([frame.decode() for frame in frames[::4]], axis=0).astype(np.uint8)
+    data = cv2.imencode(".jpg", empty[:, :, ::-1])[1].tobytes()
+    before = [Frame(number * 10**7, "jpeg", data) for number in range(20)]
+    after = [replace(frame, stamp_ns=frame.stamp_ns + 10**9) for frame in frames]
+    late = replace(episode_of([*before, *after]), info=EpisodeInfo(kind="drop"))
+    path = tmp_path / "still.mcap"
+    record_episode(late, path, overwrite=False, progress=Progress(quiet=True))
+    return path
+
+
+def test_from_a_click_to_a_tuned_ball(still: Path):
+    with tuning(still, "--start", "0.5", "-o", "marked") as (page, process):
+        code, html = page.ask("GET", "/")
+        assert code == 200
+        assert b"Tune with this mark" in html
+        contents = json.loads(page.ask("GET", "/album")[1])
+        assert contents["size_px"] == [320, 240]
+        assert len(contents["seconds"]) == 81
+        assert contents["seconds"][0] == 1
+        assert page.tune(*BALL_PX, BALL_PICTURE) == 204
+        out, err = process.communicate(timeout=60)
+    assert process.returncode == 0, err
+    assert not err
+    assert " ok " in out
+    result = json.loads((still.parent / "marked" / "still.json").read_text())
+    assert result["parameters"]["restitution"]["value"] == pytest.approx(0.6, abs=0.02)
+
+
+def test_the_mark_is_what_tuning_goes_by(still: Path):
+    with tuning(still) as (page, process):
+        assert page.tune(*BALL_PX, 10) == 204
+        out, err = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "nothing moves at 160, 119 px at 0.10 s; mark the ball in flight" in out + err
+
+
+def test_a_mark_counts_from_the_first_picture_whatever_is_left_out(film: Path):
+    pictures = Pictures(read_episode(film), "/camera/image_raw/compressed", start_s=0.5)
+    x, y, at_s = pictures.scaled((160, 120, 0.75))
+    assert (x, y, at_s) == pytest.approx((160 / pictures.scale, 120 / pictures.scale, 0.25))
+
+
+def test_without_a_mark_it_is_as_without_a_page(film: Path, command: Command):
+    with tuning(film) as (page, process):
+        assert page.ask("POST", "/without")[0] == 204
+        _, err = process.communicate(timeout=60)
+    assert process.returncode == 0, err
+    by_page = json.loads(film.with_suffix(".json").read_text())
+    assert command("tunenet-tune", film).returncode == 0
+    assert by_page["parameters"] == json.loads(film.with_suffix(".json").read_text())["parameters"]
+
+
+@pytest.mark.parametrize("how", ["signal", "closed"])
+def test_an_end_without_a_decision_is_one_line(film: Path, tmp_path: Path, how: str):
+    with tuning(film, "-o", str(tmp_path / "out")) as (page, process):
+        assert page.ask("GET", "/")[0] == 200
+        if how == "signal":
+            process.send_signal(signal.SIGINT)
+        else:
+            assert page.ask("POST", "/leave")[0] == 204
+        out, err = process.communicate(timeout=20)
+    assert process.returncode == 130
+    assert (out, err) == ("", "tunenet-tune: interrupted\n")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_page_that_is_loaded_again_is_not_closed(
+    page: tuple[MarkingPage, Marking], monkeypatch: pytest.MonkeyPatch
+):
+    asked, marking = page
+    monkeypatch.setattr(
+        "analysis.tracking.ball_picker._AWAY_SECONDS", -1.0
+    )  # who is away is gone at once
+    assert asked.ask("POST", "/leave")[0] == 204
+    with pytest.raises(KeyboardInterrupt):
+        marking.wait()
+    look, seen = marking._is_closed, []
+
+    def looked() -> bool:
+        seen.append(look())
+        assert asked.tune(1, 2, 0) == 204
+        return seen[-1]
+
+    monkeypatch.setattr(marking, "_is_closed", looked)
+    assert asked.ask("GET", "/")[0] == 200
+    assert marking.wait() == (1, 2, 0)
+    assert seen == [False]
+
+
+def test_a_click_is_a_place_and_a_time(page: tuple[MarkingPage, Marking], whole: Album):
+    asked, marking = page
+    assert asked.tune(100.25, 60, 30) == 204
+    assert marking.wait() == (100.25, 60, whole.shots[30].seconds)
+    assert whole.shots[30].seconds == pytest.approx(0.5)
+    assert asked.ask("POST", "/without")[0] == 204
+    assert marking.wait() is None
+
+
+def test_pictures_are_the_recordings_own(page: tuple[MarkingPage, Marking], film: Path):
+    asked, _ = page
+    frames = list(read_episode(film).frames())
+    for number in (0, 7, 80):
+        assert asked.ask("GET", f"/picture/{number}") == (200, frames[number].data)
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["/picture/81", "/picture/-1", "/picture/", "/picture/x", "/picture/1/..", "/7", "/../cli",
+     "/picture/99999999999999999999", "/picture/٣", "/nix"],
+)  # fmt: skip
+def test_there_is_nothing_else_on_it(page: tuple[MarkingPage, Marking], path: str):
+    from urllib.parse import quote
+
+    assert page[0].ask("GET", quote(path))[0] == 404
+
+
+def test_it_is_for_this_machine_alone(page: tuple[MarkingPage, Marking]):
+    asked, marking = page
+    port = asked.host.partition(":")[2]
+    assert asked.ask("GET", "/album", Host=f"localhost:{port}")[0] == 200
+    refused = (("GET", "/"), ("GET", "/picture/0"), ("POST", "/without"))
+    assert_for_this_machine_alone(asked, refused)
+    asked.tune(1, 2, 0)
+    assert marking.wait() == (1, 2, 0)  # nothing of the others' came before
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        "", "x", "[]", "{}", '{"x": 1, "y": 1}', '{"x": 1, "y": 1, "picture": 81}',
+        '{"x": 1, "y": 1, "picture": -1}', '{"x": 1, "y": 1, "picture": 1.5}',
+        '{"x": 1, "y": 1, "picture": null}', '{"x": NaN, "y": 1, "picture": 1}',
+        '{"x": -1, "y": 1, "picture": 1}', '{"x": 320, "y": 1, "picture": 1}',
+        '{"x": 1, "y": 240, "picture": 1}', '{"x": 1e400, "y": 1, "picture": 1}',
+        "[" * 1000, '{"x": 1, "y": 1, "picture": 1}' + " " * 1000, "[" * 60_000,
+    ],
+)  # fmt: skip
+def test_a_mark_that_is_none_is_refused(page: tuple[MarkingPage, Marking], body: str):
+    asked, marking = page
+    assert asked.ask("POST", "/tune", body)[0] == 400
+    asked.tune(5, 6, 0)
+    assert marking.wait() == (5, 6, 0)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("--ball-at", "1,2,3"), "--ball-at"),
+        (("--hsv", "0,0,0:9,9,9"), "--hsv"),
+        (("--topic", "/nix"), "/camera/image_raw/compressed"),
+        (("--start", "900"), "1.33 s long"),
+    ],
+)
+def test_what_does_not_go_with_it_is_one_line(
+    command: Command, film: Path, words: tuple[str, ...], says: str
+):
+    result = command("tunenet-tune", film, "--preview", *words, cwd=film.parent)
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert says in result.stderr
+
+
+def test_two_logs_are_refused(command: Command, film: Path):
+    result = command("tunenet-tune", film, film, "--preview")
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert "one log" in result.stderr
+
+
+def test_a_log_without_pictures_is_refused(command: Command, drop_log: Path):
+    result = command("tunenet-tune", drop_log, "--preview")
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert "no pictures" in result.stderr
+    assert not drop_log.with_suffix(".json").exists()

@@ -1,0 +1,279 @@
+"""The ball is found by how it flies, wherever it is, and nothing else is taken for it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from analysis.drop.film import find_filmed_drop
+from analysis.tracking.pictures import Pictures
+from analysis.tracking.projected import projected_track
+from analysis.tracking.track import Hints, Track, track_ball
+from analysis.tuning import Options, tune_track
+from recorders.filmed_drop import FilmOrder, film_drop
+from recorders.simulated_drop import DropOrder, simulate_drop
+from recorders.simulators.drop import TOPIC
+from recorders.simulators.pinhole import PinholeCamera
+from tests.analysis.films import CAMERA, ORDER, kept, rendered_ball
+from tests.conftest import Made
+from tests.strangers import bounce_heights
+from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame
+from tunenet_logs.errors import NotFoundError, UsageError
+
+
+def tracked(episode: Episode, hints: Hints | None = None) -> Track:
+    return track_ball(Pictures(episode, episode.picture_topics[0]), hints)
+
+
+def changed(episode: Episode, change: Callable[[int, np.ndarray], np.ndarray]) -> Episode:
+    """The same episode with other pixels."""
+
+    def frames(topic: str) -> Iterator[Frame]:
+        for index, frame in enumerate(episode.frames(topic)):
+            pixels = change(index, frame.decode().copy())
+            height, width = pixels.shape[:2]
+            data = np.ascontiguousarray(pixels).tobytes()
+            yield Frame(frame.stamp_ns, "rgb8", data, (width, height))
+
+    return replace(episode, open_frames=frames)
+
+
+def off_px(track: Track, order: DropOrder = ORDER, camera: PinholeCamera = CAMERA) -> np.ndarray:
+    """Tracked less projected centre, its median removed, shape (found, 2)."""
+    signal = simulate_drop(order).signals[TOPIC]
+    rows = np.searchsorted(signal.stamps_ns, track.stamps_ns)
+    off = (track.places_px - camera.image_from_world(signal.values)[rows])[track.found]
+    return off - np.median(off, axis=0)
+
+
+@pytest.fixture(scope="module")
+def episode(made: Made) -> Episode:
+    return rendered_ball(made)
+
+
+@pytest.fixture(scope="module")
+def track(episode: Episode) -> Track:
+    return tracked(episode)
+
+
+def test_the_rendered_ball_is_tracked_to_a_part_of_a_pixel(track: Track):
+    """The figure to hold: .3 px (sd)."""
+    assert track.found.all()
+    assert off_px(track).std(axis=0).max() < 0.2
+    expected = np.median(CAMERA.radius_px(simulate_drop(ORDER).signals[TOPIC].values, 0.05))
+    assert np.median(track.radius_px) == pytest.approx(expected, rel=0.25)
+    assert (track.confidence > 0.3).all()
+
+
+@pytest.mark.parametrize(
+    "seed", [21, *(pytest.param(one, marks=pytest.mark.slow) for one in (22, 23))]
+)
+def test_random_cameras_colours_blur_and_noise(seed: int):
+    order = replace(ORDER, seed=seed, radius_m=0.05)
+    filmed = kept(film_drop(order, FilmOrder(size_px=(240, 180), exposure_s=0.006, noise=3)))
+    notes = filmed.info.notes
+    place, target = (
+        tuple(float(part) for part in notes[name].split(","))
+        for name in ("camera_position_m", "camera_target_m")
+    )
+    camera = PinholeCamera(place, target, (240, 180))  # type: ignore[arg-type]
+    track = tracked(filmed)
+    assert track.found.mean() > 0.95
+    assert off_px(track, order, camera).std(axis=0).max() < 0.3
+    assert tune_track(track, Options()).estimate == pytest.approx([0.65], abs=0.01)
+
+
+def test_projection_stands_in_for_rendering(track: Track):
+    """Training data is projected: what it leaves out is a constant, and part of a pixel."""
+    rng = np.random.default_rng(0)
+    projected = projected_track(simulate_drop(ORDER), CAMERA, 0.0, 0.0, rng)
+    off = (track.places_px - projected.places_px)[track.found & projected.found]
+    assert np.abs(np.median(off, axis=0)).max() < 1
+    assert off.std(axis=0).max() < 0.2
+
+
+@pytest.mark.parametrize(
+    ("ball", "wall", "rate_hz"),
+    [
+        (110, 170, 60.0),
+        (235, 90, 30.0),
+        pytest.param(40, 190, 30.0, marks=pytest.mark.slow),
+        pytest.param(20, 230, 24.0, marks=pytest.mark.slow),
+    ],
+)
+def test_a_grey_ball_before_a_grey_wall_casting_a_shadow(ball: int, wall: int, rate_hz: float):
+    """Drawn here: a ball without colour differs from the wall as its own shadow does."""
+    import cv2
+
+    times = np.arange(round(2.2 * rate_hz)) / rate_hz - 0.25
+    rows = 430 - 380 * bounce_heights(0.75, 1.0, times)
+    rng = np.random.default_rng(4)
+    frames = []
+    for index, row in enumerate(rows):
+        pixels = np.full((480, 360, 3), wall, np.uint8)
+        dark = int(0.75 * wall)
+        width = int(16 + 0.1 * (430 - row))
+        cv2.ellipse(pixels, (180, 443), (width, 5), 0, 0, 360, (dark, dark, dark), -1, cv2.LINE_AA)
+        place = (180 * 16, round(float(row) * 16))
+        cv2.circle(pixels, place, 12 * 16, (ball, ball, ball), -1, cv2.LINE_AA, 4)
+        noise = 3 * rng.standard_normal(pixels.shape, np.float32)
+        noisy = np.clip(pixels + noise, 0, 255).astype(np.uint8)
+        stamp_ns = round(index * 1e9 / rate_hz)
+        frames.append(Frame(stamp_ns, "rgb8", noisy.tobytes(), (360, 480)))
+    channel = Channel("video", "drawn", "video", np.arange(len(frames)), pictures=True)
+    drawn = Episode(EpisodeInfo(), {}, (channel,), open_frames=lambda _topic: iter(frames))
+    track = tracked(drawn)
+    assert track.found.mean() > 0.97
+    off = (track.places_px - np.column_stack([np.full(len(rows), 180.0), rows]))[track.found]
+    assert (off - np.median(off, axis=0)).std(axis=0).max() < 0.5
+    assert find_filmed_drop(track, 0).projection.bounce.restitution == pytest.approx(0.75, abs=0.01)
+
+
+def test_a_picture_without_the_ball_is_a_gap(episode: Episode):
+    ground = np.median([frame.decode() for frame in episode.frames()], axis=0).astype(np.uint8)
+    gone = {40, 41, 42, 43}
+    track = tracked(changed(episode, lambda index, pixels: ground if index in gone else pixels))
+    assert not track.found[[*gone]].any()
+    assert np.delete(track.found, [*gone]).mean() > 0.95
+
+
+def test_a_ball_at_rest_stays_found():
+    order = replace(ORDER, restitution=0.3, seconds=2.0)
+    camera = PinholeCamera(CAMERA.position_m, CAMERA.target_m, (240, 180))
+    track = tracked(kept(film_drop(order, FilmOrder(camera))))
+    assert track.found[-60:].all()
+    assert np.ptp(track.places_px[-60:], axis=0).max() < 0.5
+
+
+def test_flicker_and_a_person_who_walks_in_later_change_little(episode: Episode):
+    rng = np.random.default_rng(1)
+    light = rng.uniform(0.85, 1.1, 400)
+
+    def disturbed(index: int, pixels: np.ndarray) -> np.ndarray:
+        if index > 60:
+            left = 20 + 3 * (index - 60)
+            pixels[60:230, left : left + 40] = (90, 60, 50)
+        return np.clip(pixels * light[index], 0, 255).astype(np.uint8)
+
+    track = tracked(changed(episode, disturbed))
+    early = slice(15, 60)
+    assert track.found[early].mean() > 0.95
+    truth = CAMERA.image_from_world(simulate_drop(ORDER).signals[TOPIC].values)[early]
+    off = (track.places_px[early] - truth)[track.found[early]]
+    assert (off - np.median(off, axis=0)).std(axis=0).max() < 0.3
+
+
+@pytest.mark.parametrize("turns", [1, 2, 3])
+def test_a_video_that_lies_on_its_side_falls_sideways(episode: Episode, track: Track, turns: int):
+    turned = tracked(changed(episode, lambda _index, pixels: np.rot90(pixels, turns)))
+    assert turned.found.mean() > 0.95
+    down = np.array([[0, 1], [1, 0], [0, -1], [-1, 0]][turns])
+    assert turned.gravity_px @ down > 0.99 * np.linalg.norm(turned.gravity_px)
+    assert np.linalg.norm(turned.gravity_px) == pytest.approx(
+        np.linalg.norm(track.gravity_px), rel=0.2
+    )
+
+
+def test_a_large_picture_is_reduced_and_its_pixels_are_its_own(episode: Episode):
+    import cv2
+
+    size = (960, 720)
+    camera = PinholeCamera(CAMERA.position_m, CAMERA.target_m, size)
+    large = changed(episode, lambda _index, pixels: cv2.resize(pixels, size))
+    pictures = Pictures(large, large.picture_topics[0])
+    assert pictures.scale == 2
+    track = track_ball(pictures)
+    assert track.size_px == size
+    assert off_px(track, camera=camera).std(axis=0).max() < 0.5
+
+
+def test_a_box_around_the_way_of_the_ball_is_enough(episode: Episode, track: Track):
+    x, _ = np.nanmedian(track.places_px, axis=0)
+    boxed = tracked(episode, Hints(roi=(int(x) - 30, 20, 60, 200)))
+    assert boxed.found.mean() > 0.95
+
+
+def test_its_colour_is_enough(episode: Episode, track: Track):
+    import cv2
+
+    hue, *_ = cv2.cvtColor(np.uint8([[track.colour]]), cv2.COLOR_RGB2HSV)[0, 0].tolist()  # type: ignore[arg-type]
+    low, high = (hue - 8) % 180, (hue + 8) % 180
+    by_colour = tracked(episode, Hints(hsv=((low, 90, 40), (high, 255, 255))))
+    assert by_colour.found.mean() > 0.9
+    assert off_px(by_colour).std(axis=0).max() < 0.5
+
+
+def test_where_it_was_seen_is_enough(episode: Episode, track: Track):
+    frame = 30
+    x, y = track.places_px[frame]
+    seconds = float(track.stamps_ns[frame] - track.stamps_ns[0]) * 1e-9
+    assert tracked(episode, Hints(ball_at=(x, y, seconds))).found.mean() > 0.95
+
+
+@pytest.mark.parametrize(
+    "hints",
+    [
+        Hints(roi=(300, 0, 100, 100)),
+        Hints(roi=(0, 0, 10, 1000)),
+        Hints(ball_at=(400.0, 10.0, 0.0)),
+    ],
+)
+def test_a_mark_outside_the_picture_is_refused(episode: Episode, hints: Hints):
+    with pytest.raises(UsageError, match="320 x 240"):
+        tracked(episode, hints)
+
+
+@pytest.mark.parametrize("at_s", [1.9, 99.0])
+def test_a_mark_past_the_end_is_refused_with_the_length(episode: Episode, at_s: float):
+    with pytest.raises(UsageError, match=r"0\.00 to 1\.38 s \(the recording is 1\.38 s long\)"):
+        tracked(episode, Hints(ball_at=(160.0, 120.0, at_s)))
+
+
+def test_a_mark_outside_the_part_selected_is_refused(episode: Episode):
+    pictures = Pictures(episode, episode.picture_topics[0], start_s=0.5, end_s=1.19)
+    for at_s in (0.2, 1.5):
+        with pytest.raises(UsageError, match=r"0\.50 to 1\.18 s .* 1\.38 s long"):
+            track_ball(pictures, Hints(ball_at=(160.0, 120.0, at_s)))
+
+
+def test_a_part_past_the_end_is_refused_with_the_length(episode: Episode):
+    with pytest.raises(NotFoundError, match=r"--start 9 is past the end: .* is 1\.38 s long"):
+        Pictures(episode, episode.picture_topics[0], start_s=9)
+
+
+def test_a_mark_need_not_be_exact_but_near(episode: Episode, track: Track):
+    x, y = track.places_px[30]
+    seconds = float(track.stamps_ns[30] - track.stamps_ns[0]) * 1e-9
+    assert tracked(episode, Hints(ball_at=(x + 30, y - 20, seconds))).found.mean() > 0.95
+    with pytest.raises(NotFoundError, match=f"nothing moves near 5, 5 px .* {x:.0f}, {y:.0f} px"):
+        tracked(episode, Hints(ball_at=(5.0, 5.0, seconds)))
+
+
+def test_nothing_moves(episode: Episode):
+    still = next(episode.frames()).decode()
+
+    def noisy(index: int, _pixels: np.ndarray) -> np.ndarray:
+        noise = 4 * np.random.default_rng(index).standard_normal(still.shape, np.float32)
+        return np.clip(still + noise, 0, 255).astype(np.uint8)
+
+    with pytest.raises(NotFoundError, match="no ball is seen to fly"):
+        tracked(changed(episode, noisy))
+
+
+def test_one_picture_is_too_few(episode: Episode):
+    first = next(episode.frames())
+    with pytest.raises(NotFoundError, match="too few"):
+        tracked(replace(episode, open_frames=lambda _topic: iter([first])))
+
+
+def test_damaged_pictures_are_left_out_and_counted(episode: Episode):
+    def frames(topic: str) -> Iterator[Frame]:
+        for index, frame in enumerate(episode.frames(topic)):
+            yield replace(frame, data=frame.data[:40]) if index % 20 == 7 else frame
+
+    pictures = Pictures(replace(episode, open_frames=frames), episode.picture_topics[0])
+    assert pictures.damaged == len([index for index in range(84) if index % 20 == 7])
+    assert track_ball(pictures).found.mean() > 0.95

@@ -1,0 +1,156 @@
+"""Recordings that are long, that repeat pictures, and balls that are hard to see."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from analysis.drop.film import find_filmed_drop
+from analysis.tracking.background import middle_of
+from analysis.tracking.candidates import Candidates
+from analysis.tracking.pictures import Pictures
+from analysis.tracking.second_look import SecondLook
+from analysis.tracking.track import Track, track_ball
+from recorders.simulated_drop import simulate_drop
+from recorders.simulators.drop import TOPIC
+from tests.analysis.films import CAMERA, ORDER, rendered_ball
+from tests.conftest import Made
+from tests.strangers import bounce_heights
+from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame
+
+
+def tracked(episode: Episode) -> Track:
+    return track_ball(Pictures(episode, episode.picture_topics[0]))
+
+
+@pytest.fixture(scope="module")
+def episode(made: Made) -> Episode:
+    return rendered_ball(made)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 8, 17, 33, 64, 104])
+def test_the_middle_of_pictures_is_their_median(count: int):
+    stack = np.random.default_rng(count).integers(0, 256, (count, 5, 7, 3)).astype(np.uint8)
+    assert np.array_equal(middle_of(list(stack)), np.sort(stack, axis=0)[(count - 1) // 2])
+
+
+def long_hold(episode: Episode, times: int) -> Episode:
+    """The same drop after a first picture that lasts: the ball in the hand."""
+    frames = list(episode.frames())
+    period_ns = frames[1].stamp_ns - frames[0].stamp_ns
+
+    def opened(_topic: str) -> Iterator[Frame]:
+        first = frames[0].stamp_ns - times * period_ns
+        for index in range(times):
+            yield replace(frames[index % 5], stamp_ns=first + index * period_ns)
+        yield from frames
+
+    return replace(episode, open_frames=opened)
+
+
+@pytest.mark.parametrize("more", [40, pytest.param(250, marks=pytest.mark.slow)])
+def test_memory_does_not_grow_with_the_recording(episode: Episode, more: int):
+    """Up to four times the pictures; what grows is a table of a few numbers for each."""
+    import tracemalloc
+
+    peaks = []
+    for times in (10, more):
+        longer = long_hold(episode, times)
+        tracemalloc.start()
+        track = tracked(longer)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+        assert track.found[times + 15 :].mean() > 0.95
+    assert peaks[1] < 1.3 * peaks[0]
+
+
+def test_pictures_that_come_twice_count_once(episode: Episode):
+    """As phones store them that play a film of 30 at 60 frames a second."""
+    frames = list(episode.frames())
+    twice = [frames[index - index % 2] for index in range(len(frames))]
+    stamped = [replace(one, stamp_ns=two.stamp_ns) for one, two in zip(twice, frames, strict=True)]
+    track = tracked(replace(episode, open_frames=lambda _topic: iter(stamped)))
+    places = CAMERA.image_from_world(simulate_drop(ORDER).signals[TOPIC].values)
+    rows = np.searchsorted([one.stamp_ns for one in frames], track.stamps_ns)
+    fast = np.abs(np.gradient(places[:, 1]))[rows] > 3
+    assert fast.sum() > 10
+    assert (rows[fast] % 2 == 0).mean() > 0.9
+    assert np.median(np.abs(track.places_px - places[rows])[fast]) < 0.3
+
+
+def test_a_camera_that_freezes_leaves_a_gap(episode: Episode):
+    frames = list(episode.frames())
+    frozen = [replace(frames[22], stamp_ns=one.stamp_ns) for one in frames[22:28]]
+    stuck = frames[:22] + frozen + frames[28:]
+    track = tracked(replace(episode, open_frames=lambda _topic: iter(stuck)))
+    gone = set(range(23, 28))
+    stamps = {frames[index].stamp_ns for index in gone}
+    assert not stamps & set(track.stamps_ns.tolist())
+    assert len(track.stamps_ns) == len(frames) - len(gone)
+
+
+@pytest.mark.parametrize(
+    ("ball", "wall", "floor"),
+    [
+        ((60, 55, 50), (205, 200, 190), (120, 110, 100)),
+        pytest.param((90, 130, 160), (150, 150, 165), (90, 20, 30), marks=pytest.mark.slow),
+    ],
+)
+def test_a_dull_ball_that_hardly_bounces_and_comes_to_rest(
+    ball: tuple[int, int, int], wall: tuple[int, int, int], floor: tuple[int, int, int]
+):
+    """Before a light wall and a dark floor; it lies for most of the recording."""
+    import cv2
+
+    rate_hz, restitution = 60.0, 0.15
+    times = np.arange(round(2.1 * rate_hz)) / rate_hz - 0.4
+    rows = 400 - 330 * bounce_heights(restitution, 1.0, times)
+    rng = np.random.default_rng(9)
+    frames = []
+    for index, row in enumerate(rows):
+        pixels = np.full((480, 360, 3), wall, np.uint8)
+        pixels[390:] = floor
+        dark = tuple(int(0.6 * part) for part in floor)
+        cv2.ellipse(pixels, (180, 412), (16, 5), 0, 0, 360, dark, -1, cv2.LINE_AA)
+        cv2.circle(pixels, (180 * 16, round(float(row) * 16)), 192, ball, -1, cv2.LINE_AA, 4)
+        noise = 4 * rng.standard_normal(pixels.shape, np.float32)
+        noisy = np.clip(pixels + noise, 0, 255).astype(np.uint8)
+        frames.append(Frame(round(index * 1e9 / rate_hz), "rgb8", noisy.tobytes(), (360, 480)))
+    channel = Channel("video", "drawn", "video", np.arange(len(frames)), pictures=True)
+    drawn = Episode(EpisodeInfo(), {}, (channel,), open_frames=lambda _topic: iter(frames))
+    track = tracked(drawn)
+    assert track.found[30:].mean() > 0.97
+    off = (track.places_px - np.column_stack([np.full(len(rows), 180.0), rows]))[track.found]
+    assert off.std(axis=0).max() < 0.3
+    assert find_filmed_drop(track, 0).projection.bounce.restitution == pytest.approx(
+        0.15, abs=0.015
+    )
+
+
+@pytest.mark.parametrize(
+    ("rows", "kept"),
+    [
+        ((0, 4, 8, 12, 12, 16, 20), (0, 1, 2, 3, 5, 6)),
+        ((0, 4, 8, 12, 12, 8, 4), (0, 1, 2, 3, 4, 5, 6)),
+        ((12, 12, 12, 12, 12, 12, 12), (0, 1, 2, 3, 4, 5, 6)),
+    ],
+    ids=["falls on", "bounces", "lies"],
+)
+def test_seen_twice_in_one_place_a_ball_that_turns_back_counts_twice(
+    rows: tuple[int, ...], kept: tuple[int, ...]
+):
+    """Of seven pictures the fifth is as the fourth: once more only where the ball goes on."""
+    count = len(rows)
+    table = Candidates(
+        seconds=np.arange(count) / 60,
+        places_px=np.array([[[50.0, row]] for row in rows]),
+        areas_px=np.full((count, 1), 80.0),
+        colours=np.zeros((count, 1, 3)),
+        whole=np.ones((count, 1), dtype=bool),
+        misfits=np.zeros((count, 1)),
+    )
+    look = SecondLook(table, table.places_px[:, 0], np.arange(count) == 4)
+    assert tuple(look.fresh()) == kept
