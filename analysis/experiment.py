@@ -8,9 +8,6 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from analysis.drop.checks import Check
 from analysis.drop.rebounds import Rebound
 from analysis.estimators.base import Problem, Step
@@ -21,10 +18,9 @@ from analysis.tunenet.pairs import PairSet
 from analysis.tunenet.training import Recipe
 from recorders.simulators.balls import Ball
 from recorders.simulators.base import Parameter
+from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
 from tunenet_logs.progress import Progress
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

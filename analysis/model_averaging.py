@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 TWO_SIDED = 1.96
 _TAILS = (0.025, 0.975)

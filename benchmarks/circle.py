@@ -11,14 +11,12 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recorders.simulators.arm.description import Arm, jaco
 from recorders.simulators.arm.kinematics import link_poses
 from recorders.simulators.arm.path import CIRCLE_RAD_S
 from recorders.simulators.arm.path_file import write_path_file
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 POSTURE_RAD = (0.323, 3.394, 0.688, 1.365, 2.32, 1.916, 0.672)
 SAMPLES = 256

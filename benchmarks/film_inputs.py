@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.drop.best_projective_map import best_map
 from analysis.drop.film import FilmedDrop, canonical_film
@@ -29,9 +28,8 @@ from analysis.tunenet.training import train
 from recorders.simulators.bounce import Bounce
 from recorders.simulators.contact import CALIBRATED
 from recorders.simulators.drop import DropSimulator
+from tunenet_logs.arrays import Array
 from tunenet_logs.progress import Progress
-
-Array = NDArray[np.float64]
 
 FILMS, SIMULATED, PAIRS, HELD_OUT = 1000, 1024, 40_000, 200
 NOISES_PX = (0.3, 1.0)

@@ -13,11 +13,10 @@ from recorders.simulated_drop import DropOrder, simulate_drop
 from recorders.simulators.drop import TOPIC
 from recorders.simulators.pinhole import PinholeCamera, random_camera
 from recorders.simulators.rendering import BallScene
+from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Channel, Episode, Frame
 from tunenet_logs.errors import UsageError
 from tunenet_logs.messages import CAMERA_TOPIC, COMPRESSED_IMAGE
-
-Array = NDArray[np.float64]
 
 CAMERA_SEED = 0xCA3E
 """The camera is drawn from a stream of its own: a seed gives one drop, filmed or not."""

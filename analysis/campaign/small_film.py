@@ -7,14 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tunenet_logs.arrays import Picture
 from tunenet_logs.episode import Frame
 from tunenet_logs.errors import LogError, TuneNetError
 from tunenet_logs.images import decode_small
 from tunenet_logs.reader import read_episode
-
-Picture = NDArray[np.uint8]
 
 WIDTH_PX = 160
 RATE_HZ = 30.0

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from analysis.drop.free_fall import Drop
 from analysis.model_averaging import TWO_SIDED, ModelEstimate, average, correlation_time
 from recorders.simulators.bounce import Bounce
+from tunenet_logs.arrays import Array
 
-Array = NDArray[np.float64]
 Residual = Callable[[Array], Array]
 
 _FALL_SEEN = 0.95

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.drop.free_fall import Drop
 from analysis.estimators.observation import Observation
+from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
-
-Array = NDArray[np.float64]
 
 _GRAVITY_M_S2 = 9.81
 _REJECT_FIT = 0.1

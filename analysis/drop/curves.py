@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.drop.detection import DropDetection
 from analysis.estimators.base import Step
 from analysis.tuning import Tuning
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 MOST_SAMPLES = 300
 """Of one curve in a JSON."""

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.drop import observations as views
 from analysis.drop.film import FilmedDrop
@@ -16,10 +15,9 @@ from analysis.estimators.base import Problem
 from analysis.estimators.observation import Observation
 from recorders.simulators.contact import CALIBRATED, PAPER, ContactSettings
 from recorders.simulators.drop import DropRig, DropSimulator
+from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import NotFoundError, UsageError
-
-Array = NDArray[np.float64]
 
 _HIGHEST_M = 100.0
 

@@ -26,9 +26,8 @@ from analysis.estimators.observation import Observation, resample
 from analysis.tracking.track import Track
 from recorders.simulators.balls import Ball
 from recorders.simulators.contact import CALIBRATED
+from tunenet_logs.arrays import Array
 from tunenet_logs.errors import NotFoundError
-
-Array = NDArray[np.float64]
 
 _LEAST_SPAN_PX = 15.0
 _MARGIN_S = 0.5

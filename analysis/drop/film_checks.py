@@ -5,13 +5,10 @@ from __future__ import annotations
 from typing import TypeGuard
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.drop.checks import Check
 from analysis.drop.film import FilmedDrop, is_whole
 from analysis.drop.film_doubts import clock_doubt, size_doubt
-
-Array = NDArray[np.float64]
 
 _LEAST_SPAN_PX = 40
 _CLEAR_HOP = 6

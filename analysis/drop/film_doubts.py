@@ -10,12 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.drop.film_fit import IMPACT, SLOPED, FilmFit
 from analysis.drop.projection import Projection
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 _MOMENTS = 60
 _EDGE = 3

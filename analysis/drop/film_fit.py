@@ -9,12 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.drop.projection import Projection, projected
 from recorders.simulators.bounce import Bounce
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 RESTITUTION, IMPACT, FALL, CONTACT, SPAN, PERSPECTIVE, SLOPE, DRAG = range(8)
 """Places of the unknowns: e, t1 [s], log T0, A [px], B [px], k, p, drag times drop height."""

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.drop import observations as views
 from analysis.drop.film import FilmedDrop, canonical_film, find_filmed_drop
@@ -25,11 +24,10 @@ from recorders.simulators.bounce import Bounce
 from recorders.simulators.contact import CALIBRATED, PAPER
 from recorders.simulators.drop import RESTITUTION, TOPIC, DropRig, DropSimulator
 from recorders.simulators.pinhole import PinholeCamera, random_camera
+from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import NotFoundError
 from tunenet_logs.progress import Progress
-
-Array = NDArray[np.float64]
 
 PAPER_SIZE_PX = (100, 100)
 _PAPER_FOV_DEG = 60.0

@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.drop.film import FilmedDrop
 from analysis.drop.film_fit import (
@@ -26,8 +25,7 @@ from analysis.drop.film_fit import (
 from analysis.drop.film_search import best_of
 from analysis.drop.rebounds import Rebound, rebounds
 from analysis.model_averaging import TWO_SIDED, ModelEstimate, average, correlation_time
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 _PRIORS = {IDEAL: 0.75, SLOPED: 0.23, DRAGGED: 0.02}
 """Of the balls, before the track is looked at: few that people drop are as light as that."""

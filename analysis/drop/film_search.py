@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.drop.film_fit import (
     DRAG,
@@ -25,9 +24,9 @@ from analysis.drop.film_fit import (
 from analysis.drop.film_windows import bounces_end, fall_start, film_impacts, held_start
 from analysis.drop.initial_grid import bank_starts
 from analysis.drop.projection import Projection
+from tunenet_logs.arrays import Array
 from tunenet_logs.errors import NotFoundError
 
-Array = NDArray[np.float64]
 Balls = Sequence[tuple[int, ...]]
 
 FEWEST_SAMPLES = 12

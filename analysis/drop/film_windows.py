@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.drop.free_fall import run_slopes
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 _SURE_SLOPE = 0.06
 """Noise of a slope, as a share of the steepest."""

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.drop.free_fall import noise_of
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 _MIN_SAMPLES = 4
 _LOW_SHARE = 0.3

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.drop.first_flight import first_flight_s
 from analysis.drop.observations import CANONICAL_PER_FALL, canonical_axis
 from analysis.estimators.base import Problem, Trace
 from analysis.estimators.observation import Observation
 from analysis.estimators.search import Search
-
-Array = NDArray[np.float64]
 
 _CLOSE = 1e-9
 _LOW = 0.15

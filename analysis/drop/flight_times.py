@@ -11,11 +11,9 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.drop.film_fit import FALL, IMPACT, FilmFit
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 _FEWEST = 5
 _CUBIC = 9

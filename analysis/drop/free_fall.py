@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.drop.impact import falling_to, gravity_of, meet, meet_at
 from analysis.drop.segments import (
@@ -23,9 +22,8 @@ from analysis.drop.segments import (
     release,
     rest_and_end,
 )
+from tunenet_logs.arrays import Array
 from tunenet_logs.errors import NotFoundError
-
-Array = NDArray[np.float64]
 
 _MIN_SAMPLES = 10
 _SLOPE_WINDOW_S = 0.025

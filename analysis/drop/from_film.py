@@ -23,10 +23,9 @@ from analysis.tracking.pictures import Pictures
 from analysis.tracking.track import Hints, Track, track_ball
 from recorders.simulators.balls import completed, contradict, recorded_ball
 from recorders.simulators.drop import RESTITUTION
+from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, EpisodeInfo
 from tunenet_logs.errors import NotFoundError
-
-Array = NDArray[np.float64]
 
 _AGREEMENT = 0.03
 _FIT = 0.015

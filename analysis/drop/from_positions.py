@@ -27,12 +27,11 @@ from analysis.estimators.observation import Observation
 from analysis.experiment import Claim, CrossCheck, FitResult, Preset, Selection
 from analysis.selection import check_start
 from recorders.simulators.drop import RESTITUTION, TOPIC
+from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, Signal
 from tunenet_logs.errors import NotFoundError
 from tunenet_logs.timestamp_correction import on_time
 from tunenet_logs.wording import listed
-
-Array = NDArray[np.float64]
 
 _AXES = {"+z": (2, 1), "-z": (2, -1), "+y": (1, 1), "-y": (1, -1), "+x": (0, 1), "-x": (0, -1)}
 _POSITION = ("x", "y", "z")

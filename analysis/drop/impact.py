@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
+
 Samples = NDArray[np.intp]
 Parabola = tuple[float, float, float]
 """Highest power first."""

@@ -7,9 +7,8 @@ contact's place and the span of the fall are in closed form for each point of th
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 _RESTITUTIONS = np.linspace(0.02, 0.995, 40)
 _STRETCHES = np.exp(np.linspace(np.log(0.92), np.log(3.2), 22))

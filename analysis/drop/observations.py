@@ -14,9 +14,8 @@ from analysis.drop.free_fall import Drop
 from analysis.estimators.observation import Observation, resample
 from recorders.simulators.contact import ContactSettings
 from recorders.simulators.drop import TOPIC, DropRig
+from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
-
-Array = NDArray[np.float64]
 
 CANONICAL_PER_FALL = 32
 CANONICAL_SPAN = 4

@@ -7,7 +7,6 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.drop import observations as views
 from analysis.experiment import Preset
@@ -18,9 +17,9 @@ from analysis.tunenet.training import Recipe
 from recorders.simulators.ball_world import BallWorld
 from recorders.simulators.contact import CALIBRATED, PAPER, ContactSettings
 from recorders.simulators.drop import RESTITUTION, DropRig, DropSimulator
+from tunenet_logs.arrays import Array
 from tunenet_logs.progress import Progress
 
-Array = NDArray[np.float64]
 Plan = tuple[DropRig, ContactSettings, float]
 """A rollout to make: rig, settings, restitution."""
 

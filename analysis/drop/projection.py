@@ -11,11 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recorders.simulators.bounce import Bounce
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.drop.film_fit import (
     CONTACT,
@@ -19,8 +18,7 @@ from analysis.drop.projection import projected
 from analysis.model_averaging import TWO_SIDED, correlation_time
 from recorders.simulators.bounce import Bounce
 from recorders.simulators.contact import CALIBRATED
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 _MOST = 6
 _CLEAR_HOP = 4.0

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.drop.impact import ImpactFit, falling_to
+from tunenet_logs.arrays import Array
 from tunenet_logs.errors import NotFoundError
 
-Array = NDArray[np.float64]
 Samples = NDArray[np.intp]
 Parabola = tuple[float, float, float]
 

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.estimators.observation import Observation
 from recorders.simulators.base import Parameter, Simulator
+from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
-
-Array = NDArray[np.float64]
 
 
 class CountingSimulator:

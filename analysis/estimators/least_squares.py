@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.estimators.base import Problem, Trace
 from analysis.estimators.search import Search
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 
 class LeastSquares:

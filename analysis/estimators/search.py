@@ -6,11 +6,9 @@ from collections.abc import Callable
 from contextlib import suppress
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.estimators.base import Evaluation, Problem, Step, Trace
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 
 class _Spent(Exception):  # noqa: N818 (it ends a search; nothing is wrong)

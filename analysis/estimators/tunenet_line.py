@@ -18,8 +18,7 @@ from analysis.drop.free_fall import noise_of
 from analysis.estimators.base import Evaluation, Problem, Step, Trace
 from analysis.estimators.search import Search
 from analysis.tunenet.network import Model
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 _NETWORK_STEPS = 2
 _LINE_STEPS = 8

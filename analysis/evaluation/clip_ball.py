@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from analysis.evaluation.clip_scene import Stage
 from analysis.evaluation.clip_view import View
+from tunenet_logs.arrays import Array, Picture
 
-Array = NDArray[np.float64]
-Picture = NDArray[np.uint8]
 Box = tuple[int, int, int, int]
 
 

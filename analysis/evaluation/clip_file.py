@@ -9,14 +9,12 @@ from types import TracebackType
 from typing import Any, Protocol, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.evaluation.clip_film import clip_frames, frame_seconds
 from analysis.evaluation.clip_order import ClipOrder
+from tunenet_logs.arrays import Picture
 from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.writer import EpisodeWriter
-
-Picture = NDArray[np.uint8]
 
 _TICKS_HZ = 90_000
 _MATRIX_AT = 44

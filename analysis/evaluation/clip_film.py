@@ -10,9 +10,7 @@ from numpy.typing import NDArray
 from analysis.evaluation.bouncing_ball import drop_ball
 from analysis.evaluation.clip_ball import add_ball
 from analysis.evaluation.clip_order import ClipOrder, Hand, Person
-
-Array = NDArray[np.float64]
-Picture = NDArray[np.uint8]
+from tunenet_logs.arrays import Array, Picture
 
 _MOST_SUBFRAMES = 16
 _GRAVITY_M_S2 = 9.81

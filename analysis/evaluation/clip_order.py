@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.evaluation.bouncing_ball import DroppedBall
 from analysis.evaluation.clip_ball import BallLook
 from analysis.evaluation.clip_scene import Stage, draw_stage
 from analysis.evaluation.clip_view import View, random_view
-
-Array = NDArray[np.float64]
 
 DROP_M = (0.2, 2.0)
 RESTITUTION = (0.1, 0.95)

@@ -8,9 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.evaluation.clip_view import View
-
-Array = NDArray[np.float64]
-Picture = NDArray[np.uint8]
+from tunenet_logs.arrays import Array, Picture
 
 _TEXTURE_PX = 512
 _WALL_FALLS = (0.3, 1.5)

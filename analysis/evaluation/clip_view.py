@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorders.simulators.pinhole import PinholeCamera
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 SIZES_PX = (
     (320, 240),

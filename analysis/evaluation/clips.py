@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.evaluation.clip_file import VERSIONS, write_clip, write_versions
 from analysis.evaluation.clip_film import places_px
@@ -24,9 +23,9 @@ from analysis.evaluation.clip_order import ClipOrder, draw_clip
 from analysis.processes import Piece, parallel_map
 from analysis.tracking.track import Track
 from analysis.tuning import Options, Tuning, tune_log
+from tunenet_logs.arrays import Array
 from tunenet_logs.progress import Progress
 
-Array = NDArray[np.float64]
 Result = TypeVar("Result")
 
 COUNT = 100

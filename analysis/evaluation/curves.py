@@ -6,12 +6,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.evaluation.published import ROLLOUTS, published_error
 from analysis.evaluation.results import Cell, DropResults, Outcome
+from tunenet_logs.arrays import Array
 
-Array = NDArray[np.float64]
 Color = tuple[int, int, int]
 
 PANELS = ("Easy", "Hard")

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.evaluation.drop_methods import Method
 from analysis.evaluation.drop_networks import Effort, train_networks
@@ -17,9 +16,8 @@ from analysis.evaluation.method_registry import NPE, Table, roster
 from analysis.evaluation.results import Cell, DropResults, Group, Outcome
 from analysis.evaluation.shares import Share, work_all
 from recorders.simulators.contact import CALIBRATED, PAPER, ContactSettings
+from tunenet_logs.arrays import Array
 from tunenet_logs.progress import Progress
-
-Array = NDArray[np.float64]
 
 NOISE_M = 0.01
 """Of the noisy cells: what a good tracker leaves."""

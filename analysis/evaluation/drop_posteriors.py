@@ -6,7 +6,6 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.drop.presets import PAPER_HEIGHT_M, observe_paper_drops
 from analysis.evaluation.drop_networks import Effort
@@ -17,9 +16,9 @@ from analysis.evaluation.results import Cell, Credible
 from analysis.evaluation.shares import Share, problems_in
 from analysis.processes import Piece, parallel_map
 from recorders.simulators.drop import RESTITUTION
+from tunenet_logs.arrays import Array
 from tunenet_logs.progress import Progress
 
-Array = NDArray[np.float64]
 Posteriors = Mapping[tuple[int, float], SbiPosterior]
 """By seed and noise of the target [m]."""
 

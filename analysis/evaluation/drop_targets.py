@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.drop import observations as views
 from analysis.drop.presets import PAPER_HEIGHT_M, PAPER_RESTITUTION
@@ -17,8 +16,6 @@ from recorders.simulators.base import Parameter
 from recorders.simulators.contact import CALIBRATED, PAPER, ContactSettings
 from recorders.simulators.drop import RESTITUTION, TOPIC, DropRig, DropSimulator
 from tunenet_logs.episode import Episode
-
-Array = NDArray[np.float64]
 
 TEST_SEEDS = 7_000_000
 """Test targets are drawn from seeds above this one, training and validation from below."""

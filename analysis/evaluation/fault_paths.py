@@ -7,12 +7,10 @@ times of the shot's pictures: of one that lasts for six fall times at least.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.evaluation.bouncing_ball import GRAVITY_M_S2, DroppedBall, drop_ball
 from analysis.evaluation.tracks import Shot, upright
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 _SIDEWAYS = (0.05, 0.25)
 """Share of the first impact's speed at which a ball that will roll off moves sideways."""

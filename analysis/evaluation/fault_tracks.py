@@ -16,8 +16,8 @@ from analysis.evaluation import fault_paths
 from analysis.evaluation.tracks import B, Balls, Shot, film, film_places
 from analysis.evaluation.viewpoint import SIZE_PX
 from analysis.tracking.track import Track
+from tunenet_logs.arrays import Array
 
-Array = NDArray[np.float64]
 Maker = Callable[[Shot, np.random.Generator], Track]
 
 BAD_SET = replace(B, name="bad", lasts=(6.0, 8.0))

@@ -22,9 +22,8 @@ from analysis.evaluation.our_networks import grouped_pairs
 from analysis.tunenet.network import AntisymmetricNetwork, Model
 from analysis.tunenet.pairs import PairSet, consecutive_pairs, observe_all
 from analysis.tunenet.training import train
+from tunenet_logs.arrays import Array
 from tunenet_logs.progress import Progress
-
-Array = NDArray[np.float64]
 
 _TRAINING = replace(OUR_TRAINING, weight_decay=0.1, cut_share=0.0)
 

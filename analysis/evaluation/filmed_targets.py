@@ -10,7 +10,6 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.drop import observations as views
 from analysis.drop.best_projective_map import best_map
@@ -22,9 +21,8 @@ from analysis.estimators.observation import Observation
 from analysis.evaluation.drop_targets import DropTarget
 from recorders.simulators.contact import PAPER
 from recorders.simulators.drop import RESTITUTION, TOPIC, DropRig, DropSimulator
+from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
-
-Array = NDArray[np.float64]
 
 
 class FilmedProblems:

@@ -17,9 +17,8 @@ from analysis.evaluation.drop_targets import TEST_SEEDS
 from analysis.tunenet.pairs import observe_all
 from analysis.tuning import Options, tune_episode
 from recorders.simulated_drop import DropOrder, simulate_drop
+from tunenet_logs.arrays import Array
 from tunenet_logs.progress import Progress
-
-Array = NDArray[np.float64]
 
 RESTITUTION = (0.1, 0.95)
 NOISE_M = (0.0, 0.02)

@@ -6,9 +6,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
 from analysis.estimators.tunenet import TuneNet
 from analysis.estimators.tunenet_line import TuneNetLine
 from analysis.evaluation import drop_networks as nets
@@ -17,9 +14,9 @@ from analysis.evaluation.drop_networks import Networks
 from analysis.evaluation.methods.neural_posterior import NeuralPosterior, Posterior
 from analysis.optional_dependencies import needed
 from analysis.tunenet.network import Model
+from tunenet_logs.arrays import Array
 from tunenet_logs.errors import UsageError
 
-Array = NDArray[np.float64]
 Table = Literal["paper", "calibrated", "ablation"]
 """On the paper's simulator; on the calibrated one; what the parts of the network are worth."""
 

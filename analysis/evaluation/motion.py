@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.estimators.base import Estimator, Problem
 from analysis.estimators.tunenet import TuneNet
@@ -30,9 +29,8 @@ from analysis.evaluation.one_step.neural import NeuralRecipe, train_neural
 from analysis.evaluation.one_step.vrnn_training import VrnnRecipe, train_vrnn
 from analysis.tunenet.network import Model
 from recorders.simulators.drop import TOPIC
+from tunenet_logs.arrays import Array
 from tunenet_logs.progress import Progress
-
-Array = NDArray[np.float64]
 
 ITERATIONS = 5
 """K, rollouts that a tuner may spend."""

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 SEEN_STEPS = 100
 """Of 400 (1.7 s): the first impact is always among them, at step 51 to 58, and often a second."""

@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.estimators.base import Problem
 from analysis.estimators.observation import Observation
@@ -27,10 +26,10 @@ from analysis.tunenet.training import train
 from recorders.simulators.arm.description import jaco
 from recorders.simulators.arm.path import circle
 from recorders.simulators.arm.payload import TOPIC, PayloadSimulator
+from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
 from tunenet_logs.progress import Progress
 
-Array = NDArray[np.float64]
 Observe = Callable[[Episode], Observation]
 
 ITERATIONS = 9

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.evaluation.intervals import Coverage
 from analysis.evaluation.published import published_error
+from tunenet_logs.arrays import Array
 
-Array = NDArray[np.float64]
 Group = Literal["paper", "user", "ours"]
 Experiment = Literal["drop", "ablation"]
 

@@ -7,16 +7,14 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.estimators.base import Problem, Trace
 from analysis.evaluation.drop_methods import Method
 from analysis.evaluation.drop_targets import DropProblems, DropTarget
 from analysis.processes import Piece, parallel_map
 from recorders.simulators.contact import ContactSettings
+from tunenet_logs.arrays import Array
 from tunenet_logs.progress import Progress
-
-Array = NDArray[np.float64]
 
 
 class OverspentError(Exception):

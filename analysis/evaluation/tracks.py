@@ -21,8 +21,8 @@ from analysis.evaluation.viewpoint import (
     paper_viewpoint,
 )
 from analysis.tracking.track import Track
+from tunenet_logs.arrays import Array
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Range = tuple[float, float]
 

@@ -18,9 +18,8 @@ from analysis.evaluation.video_cells import (
     outcomes_of,
 )
 from analysis.processes import Piece, parallel_map
+from tunenet_logs.arrays import Array
 from tunenet_logs.progress import Progress
-
-Array = NDArray[np.float64]
 
 WRONG = 0.05
 """An error larger than this is one that a user would mind."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.evaluation.fault_tracks import BAD_BALLS, BAD_CLASSES, BAD_SET
 from analysis.evaluation.tracks import (
@@ -24,8 +23,7 @@ from analysis.evaluation.tracks import (
 from analysis.experiment import Selection
 from analysis.tuning import Options, tune_track
 from recorders.simulators.balls import BALLS
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 VERDICTS = ("ok", "suspect", "rejected")
 COLUMNS = ("truth", "value", "low", "high", "shown", "verdict")

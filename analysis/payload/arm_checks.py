@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.drop.checks import Check
 from analysis.payload.arm_log import ArmLog, Samples
 from analysis.payload.arm_motion import ArmMotion
 from recorders.simulators.arm.description import Arm
+from tunenet_logs.arrays import Array
 from tunenet_logs.wording import listed, short_name
-
-Array = NDArray[np.float64]
 
 _LEAST_HZ = 8.0
 _LEAST_S, _REJECT_S = 3.0, 1.0

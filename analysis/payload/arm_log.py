@@ -18,11 +18,11 @@ from analysis.payload.joint_names import match_joints
 from analysis.payload.refresh_times import even_clock
 from analysis.selection import check_start
 from recorders.simulators.arm.description import Arm
+from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, Signal
 from tunenet_logs.errors import NotFoundError
 from tunenet_logs.wording import listed
 
-Array = NDArray[np.float64]
 _Found = TypeVar("_Found")
 
 _UNITS = ("N·m", "rad")

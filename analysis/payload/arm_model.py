@@ -11,13 +11,11 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recorders.simulators.arm.description import PAYLOAD_RADIUS_M, Arm
 from recorders.simulators.arm.dynamics import GRAVITY_M_S2
 from recorders.simulators.arm.frames import rotation_from_rpy
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 _NUMBERS = 10
 """Of one body: mass, first moments (3), inertia (6) about the joint's frame."""

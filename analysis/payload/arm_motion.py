@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from analysis.payload.arm_log import ArmLog
 from analysis.payload.smoothing import smoothing_spline
+from tunenet_logs.arrays import Array
 from tunenet_logs.errors import NotFoundError
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
 
-Array = NDArray[np.float64]
 
 _ENDS_S = 0.25
 _MOST_GAP = 5.0

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.drop.checks import Check
 from analysis.payload.arm_log import ArmLog
 from analysis.payload.fit_result import Left, PayloadFit
 from recorders.simulators.arm.description import Arm
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 _MOST_LEFT_NM, _REJECT_LEFT_NM = 1.0, 2.5
 _MOST_SIMULATED_NM = 1.5

@@ -6,9 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
-from numpy.typing import NDArray
-
 from analysis.estimators.base import Problem
 from analysis.estimators.observation import Observation
 from analysis.payload.arm_log import ArmLog
@@ -21,9 +18,8 @@ from recorders.simulators.arm.description import Arm
 from recorders.simulators.arm.dynamics import held_efforts_nm
 from recorders.simulators.arm.path import JointPath
 from recorders.simulators.arm.payload import TOPIC, PayloadSimulator
+from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
-
-Array = NDArray[np.float64]
 
 EFFORT = f"{TOPIC}.effort"
 

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.drop.checks import Check
 from analysis.estimators.base import Problem, Step
@@ -24,10 +23,9 @@ from analysis.payload.two_rollout_mass import secant
 from recorders.simulators.arm.description import jaco, read_arm
 from recorders.simulators.arm.path import JointPath
 from recorders.simulators.arm.payload import PAYLOAD_MASS
+from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import NotFoundError
-
-Array = NDArray[np.float64]
 
 _LEAST_OF_CIRCLE_S = 4.0
 _OFF_CIRCLE_RAD = 0.1

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from analysis.model_averaging import TWO_SIDED
 from analysis.payload.terms import Convention
+from tunenet_logs.arrays import Array
 
-Array = NDArray[np.float64]
 Three = tuple[float, float, float]
 
 _TOLD_SD_M = 0.008

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recorders.simulators.arm.description import Arm
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 _TURN = 2 * np.pi
 _SLACK_RAD = 0.3

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
 from analysis.payload.arm_model import ArmModel
@@ -23,8 +22,7 @@ from analysis.payload.terms import (
     Terms,
     turning,
 )
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 _MOST_LAG_S = 0.2
 _NO_ARM_SDS = (10.0, 5.0, 5.0)

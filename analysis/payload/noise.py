@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from analysis.model_averaging import correlation_time
 from analysis.payload.evidence import Normal
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 _SPIKE = 3.5
 """Standard deviations beyond which a sample counts for less."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.experiment import Preset
 from analysis.payload.readings import (
@@ -22,9 +21,8 @@ from analysis.tunenet.training import Recipe
 from recorders.simulators.arm.description import Payload, jaco
 from recorders.simulators.arm.dynamics import joint_efforts_nm
 from recorders.simulators.arm.path import circle, random_path
+from tunenet_logs.arrays import Array
 from tunenet_logs.progress import Progress
-
-Array = NDArray[np.float64]
 
 PAPER_GRAVITY_M_S2 = (0.0, 0.0, -10.0)
 PAPER_MASS_KG = (0.0, 1.0)

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.estimators.observation import Observation
 from recorders.simulators.arm.path import CIRCLE_RAD_S, JointPath, circle_at
+from tunenet_logs.arrays import Array
 from tunenet_logs.errors import NotFoundError
-
-Array = NDArray[np.float64]
 
 READINGS = 7
 """Joints that a reading is taken of: those that feel a payload most."""

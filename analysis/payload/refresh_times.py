@@ -8,9 +8,8 @@ would look like a tremor of the arm.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 _ROUNDS = 5
 _MOST_OFF = 0.05

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from analysis.payload.arm_model import ArmModel
 from analysis.payload.arm_motion import ArmMotion
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 PAYLOAD_SD_KG = 5.0
 CENTRE_SD_M = 0.05

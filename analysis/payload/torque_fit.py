@@ -21,8 +21,7 @@ from analysis.payload.fit_result import LEAST_MASS_KG, Centre, Left, Nuisance, P
 from analysis.payload.least_squares import Steps, without_arm
 from analysis.payload.terms import CENTRE, CONVENTIONS, MASS, make_terms
 from recorders.simulators.arm.description import Arm
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 _STEPS, _MORE_STEPS = 5, 4
 _PAYLOAD = np.arange(CENTRE.stop)

@@ -8,15 +8,13 @@ an empty run.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.payload.arm_motion import ArmMotion
 from analysis.payload.terms import Convention
 from recorders.simulators.arm.description import Arm, Payload
 from recorders.simulators.arm.dynamics import held_efforts_nm, joint_efforts_nm
 from recorders.simulators.arm.path import JointPath
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 _OFFSET_SD_NM = 0.3
 

@@ -10,14 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recorders.simulators.drop import RESTITUTION
 from recorders.simulators.shot.speed_law import SpeedLaw
+from tunenet_logs.arrays import Array
 from tunenet_logs.errors import LogError, NotFoundError
 from tunenet_logs.wording import one_line
-
-Array = NDArray[np.float64]
 
 TOLD_SD = 0.01
 """Of a restitution that a user tells, or that has no interval."""

@@ -12,15 +12,13 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.planning.known_ball import KnownBall
 from analysis.planning.tolerance import Range, height_ends, restitution_ends, signed_gap_m
 from recorders.simulators.bounce_shot import passes, shoot
 from recorders.simulators.shot.flight import Flights
 from recorders.simulators.shot.rig import ShotRig
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 SHOTS = 100
 """Heights that are tried: the paper's number."""

@@ -9,8 +9,8 @@ from analysis.planning.known_ball import KnownBall
 from recorders.simulators.bounce_shot import passes
 from recorders.simulators.shot.flight import Flights
 from recorders.simulators.shot.rig import ShotRig
+from tunenet_logs.arrays import Array
 
-Array = NDArray[np.float64]
 Range = tuple[float, float]
 
 _ROOM_M = 0.03

@@ -11,16 +11,15 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
 from analysis.planning.plan import Plan
 from analysis.planning.plan_report import best_lines
 from analysis.review.grid import WIDTH, chart_view, log_grid, ticks
 from analysis.review.sending import screen_radius
 from recorders.simulators.shot.flight import STEP_S
+from tunenet_logs.arrays import Array
 from tunenet_logs.wording import one_line
 
-Array = NDArray[np.float64]
 Color = tuple[int, ...]
 
 SHOT_TIME = "shot_time_s"

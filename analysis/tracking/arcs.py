@@ -15,8 +15,8 @@ from analysis.tracking.triples import (
     accelerated_triples,
     tolerance_px,
 )
+from tunenet_logs.arrays import Array
 
-Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 _MOST_SEEDS = 500

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-Picture = NDArray[np.uint8]
+from tunenet_logs.arrays import Picture
+
 Array = NDArray[np.float32]
 
 _LEAST_DIFFERENCE = 14

@@ -8,9 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.tracking.background import Background
-
-Picture = NDArray[np.uint8]
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array, Picture
 
 _MOST = 12
 _LEAST_AREA_PX = 5

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.tracking.blobs import Blobs
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.tracking.patches import Patch, moved
+from tunenet_logs.arrays import Array
 
-Array = NDArray[np.float64]
 Fine = NDArray[np.float32]
 
 _NOISE = 4.0

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from analysis.tracking.arcs import Arc
 from analysis.tracking.blobs import BallColor
 from analysis.tracking.candidates import Candidates
+from tunenet_logs.arrays import Array
 from tunenet_logs.errors import NotFoundError
-
-Array = NDArray[np.float64]
 
 LEAST_SEEN = 8
 

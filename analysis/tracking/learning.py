@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from analysis.tracking.background import Background
 from analysis.tracking.patches import Patch, cut_patch, straightened
 from analysis.tracking.placing import FINE_PX, Appearance
+from tunenet_logs.arrays import Array, Picture
 
-Picture = NDArray[np.uint8]
-Array = NDArray[np.float64]
 Fine = NDArray[np.float32]
 
 _LEAST_SAMPLES = 3

@@ -7,14 +7,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.tracking.background import Background
 from analysis.tracking.blobs import BallColor, Blobs, coloured_blobs
 from analysis.tracking.placing import Appearance, Placing
-
-Picture = NDArray[np.uint8]
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array, Picture
 
 _GOOD = 0.3
 """With less misfit than that, nothing better is looked for."""

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.tracking.background import Background
+from tunenet_logs.arrays import Array, Picture
 
-Picture = NDArray[np.uint8]
-Array = NDArray[np.float64]
 Fine = NDArray[np.float32]
 
 _REACH = 1.6

@@ -7,14 +7,12 @@ from collections.abc import Collection, Iterator
 from contextlib import suppress
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.selection import check_start
+from tunenet_logs.arrays import Picture
 from tunenet_logs.episode import Episode, Frame
 from tunenet_logs.errors import LogError, NotFoundError, UsageError
 from tunenet_logs.timestamp_correction import on_time
-
-Picture = NDArray[np.uint8]
 
 _MOST_SAMPLES = 64
 _MOST_PIXELS = 480_000

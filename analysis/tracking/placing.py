@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 from analysis.tracking.background import Background
 from analysis.tracking.drawn_ball import DrawnBall, draw_ball
 from analysis.tracking.patches import Patch, cut_patch
+from tunenet_logs.arrays import Array, Picture
 
-Picture = NDArray[np.uint8]
-Array = NDArray[np.float64]
 Fine = NDArray[np.float32]
 
 FINE_PX = 9.0

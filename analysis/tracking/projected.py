@@ -6,14 +6,11 @@ It differs from the track of the rendered pictures by about a tenth of a pixel.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.tracking.track import Track
 from recorders.simulators.drop import TOPIC
 from recorders.simulators.pinhole import PinholeCamera
 from tunenet_logs.episode import Episode
-
-Array = NDArray[np.float64]
 
 _GREY = (128, 128, 128)
 

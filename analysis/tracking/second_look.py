@@ -21,9 +21,7 @@ from analysis.tracking.following import (
 from analysis.tracking.learning import learn_appearance
 from analysis.tracking.looking import Eye
 from analysis.tracking.pictures import Pictures
-
-Array = NDArray[np.float64]
-Picture = NDArray[np.uint8]
+from tunenet_logs.arrays import Array, Picture
 
 _HIDDEN = 2.5
 _MISSED = 1.2

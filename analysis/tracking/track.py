@@ -19,10 +19,8 @@ from analysis.tracking.candidates import Candidates, tabulate
 from analysis.tracking.following import LEAST_SEEN, follow, look_of, same_arc
 from analysis.tracking.pictures import Pictures
 from analysis.tracking.second_look import look_again, picked
+from tunenet_logs.arrays import Array, Picture
 from tunenet_logs.errors import NotFoundError
-
-Array = NDArray[np.float64]
-Picture = NDArray[np.uint8]
 
 _FEW_FRAMES = 5
 """Of a flight that is looked for once more, where pictures are few."""

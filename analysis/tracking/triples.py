@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.tracking.candidates import Candidates
+from tunenet_logs.arrays import Array
 
-Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 COLOUR_APART = 70.0

@@ -12,9 +12,9 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from tunenet_logs.arrays import Array
 from tunenet_logs.progress import Progress
 
-Array = NDArray[np.float64]
 Item = TypeVar("Item")
 
 

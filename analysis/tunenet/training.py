@@ -6,17 +6,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.tunenet.network import Model, Network, Scaling, initial_weights
 from analysis.tunenet.pairs import PairSet
+from tunenet_logs.arrays import Array
 from tunenet_logs.progress import Progress
 
 if TYPE_CHECKING:
     import torch
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

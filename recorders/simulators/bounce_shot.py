@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recorders.simulators.base import Parameter
 from recorders.simulators.drop import RESTITUTION, TOPIC
@@ -14,10 +13,9 @@ from recorders.simulators.shot.contact import Balls
 from recorders.simulators.shot.flight import COARSE_S, STEP_S, Flights, fly
 from recorders.simulators.shot.rig import ShotRig
 from recorders.simulators.shot.speed_law import SpeedLaw
+from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import UsageError
-
-Array = NDArray[np.float64]
 
 KIND = "bounce-shot"
 ENGINE = "bounce-shot, from impact to impact"

@@ -6,11 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tunenet_logs.arrays import Array
 from tunenet_logs.errors import UsageError
 
-Array = NDArray[np.float64]
 Point = tuple[float, float, float]
 
 _FARTHEST_M = 1e4

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from recorders.simulators.engine import pybullet
 from recorders.simulators.pinhole import PinholeCamera
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 _OVERSAMPLING = 4
 _NEAR = 0.02

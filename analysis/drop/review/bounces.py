@@ -5,14 +5,12 @@ from __future__ import annotations
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
 from analysis.drop.bounces import ReportedBounce
 from analysis.drop.review.story import ReviewData
 from analysis.review.grid import WIDTH, chart_view, log_grid, ticks
 from analysis.review.sending import screen_radius
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 _LEAST_SPAN = 0.04
 """Of restitution: less would make noise look like a slope."""

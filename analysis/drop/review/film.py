@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
 from analysis.drop.film import FilmedDrop
 from analysis.drop.review.model_path import log_model_path, projected_places
@@ -18,10 +17,9 @@ from analysis.review.pictures import reduced, send_pictures
 from analysis.review.sending import at_seconds, screen_radius
 from analysis.tracking.pictures import readable_frames
 from analysis.tuning import Tuning
+from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Frame
 from tunenet_logs.errors import LogError
-
-Array = NDArray[np.float64]
 
 _TRAIL_S = 0.35
 _CORNERS = 24

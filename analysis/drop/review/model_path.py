@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
 from analysis.drop.film import FilmedDrop
 from analysis.drop.review.story import Curve, ReviewData
 from analysis.review.sending import at_seconds, screen_radius
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 _IMPACT = (255, 90, 90)
 _FEWEST = 4

@@ -5,15 +5,13 @@ from __future__ import annotations
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
 from analysis.drop.review.story import Curve, ReviewData
 from analysis.review.colors import OBSERVED
 from analysis.review.grid import chart_view, log_grid, ticks
 from analysis.review.iterates import Iterates, iterates_view, log_iterates
 from analysis.review.sending import at_iterations, at_seconds, screen_radius
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 _HEIGHTS_WIDTH = 1.7
 

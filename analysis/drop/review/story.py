@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.drop.bounces import ReportedBounce, bounces_of
 from analysis.drop.curves import observed_heights_m, simulated_heights
 from analysis.review.colors import OBSERVED, Color, ramp
 from analysis.tuning import Tuning
 from recorders.simulators.bounce import Bounce
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 _SOFTEST = 0.1
 """Of the first rebound's speed: smaller hops look like rest."""

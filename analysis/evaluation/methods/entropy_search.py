@@ -6,12 +6,10 @@ import warnings
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.estimators.base import Problem, Trace
 from analysis.estimators.search import Search
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 _BINS = 50
 _SAMPLES = 100

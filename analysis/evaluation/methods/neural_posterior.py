@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.estimators.base import Problem, Step, Trace
 from analysis.estimators.observation import Observation
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 INTERVAL = (0.025, 0.975)
 """Quantiles between which a 95 % credible interval lies."""

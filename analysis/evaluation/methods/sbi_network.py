@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 _ENDLESS = 2**31 - 1
 """The library's own limit, which is none: training ends when it no longer helps."""

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
+
 Memory = Any
 """What a predictor keeps of a run; None where it keeps nothing."""
 

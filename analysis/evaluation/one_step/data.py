@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.drop.observations import PAPER_RADIUS_M, PAPER_RATE_HZ, PAPER_SAMPLES
 from analysis.drop.presets import PAPER_HEIGHT_M, PAPER_RESTITUTION
 from analysis.evaluation.drop_targets import DropTarget
 from recorders.simulators.ball_world import BallWorld
 from recorders.simulators.contact import PAPER
+from tunenet_logs.arrays import Array
 from tunenet_logs.progress import Progress
-
-Array = NDArray[np.float64]
 
 PERIOD_S = 1 / PAPER_RATE_HZ
 MIDDLE_RESTITUTION = sum(PAPER_RESTITUTION) / 2

@@ -7,12 +7,12 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from tunenet_logs.arrays import Array
 
 if TYPE_CHECKING:
     import torch
 
-Array = NDArray[np.float64]
 Weights = Mapping[str, Any]
 """Arrays or tensors by name."""
 

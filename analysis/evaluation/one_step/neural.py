@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.evaluation.one_step.layers import (
     Weights,
@@ -17,9 +16,8 @@ from analysis.evaluation.one_step.layers import (
     one_thread,
     tanh,
 )
+from tunenet_logs.arrays import Array
 from tunenet_logs.progress import Progress
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

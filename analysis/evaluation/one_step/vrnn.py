@@ -22,13 +22,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.evaluation.one_step.base import Memory
 from analysis.evaluation.one_step.data import EngineStep, Transitions
 from analysis.evaluation.one_step.layers import Weights, linear, sigmoid, tanh
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 RESIDUALS = 2
 CONDITION = 4

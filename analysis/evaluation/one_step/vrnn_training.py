@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.evaluation.one_step.data import EngineStep, Transitions
 from analysis.evaluation.one_step.layers import (
@@ -17,12 +16,12 @@ from analysis.evaluation.one_step.layers import (
     one_thread,
 )
 from analysis.evaluation.one_step.vrnn import Scales, Sizes, VrnnHybrid, gaussian, joined
+from tunenet_logs.arrays import Array
 from tunenet_logs.progress import Progress
 
 if TYPE_CHECKING:
     import torch
 
-Array = NDArray[np.float64]
 
 _GRU = {
     "memory.input": ("weight_ih_l0", "bias_ih_l0"),

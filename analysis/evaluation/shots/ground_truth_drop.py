@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.evaluation.shots.ground_truth_shot import ACROSS_SD_M, HEIGHT_SD_M
 from analysis.evaluation.shots.ground_truth_sim import (
@@ -19,8 +18,7 @@ from analysis.evaluation.shots.ground_truth_sim import (
     run_ball,
     table,
 )
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 DROP_M = 0.5
 """How far the robot lets balls fall: about as fast as they will hit the plane."""

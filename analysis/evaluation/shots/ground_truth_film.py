@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.evaluation.clip_ball import BallLook, add_ball
 from analysis.evaluation.clip_scene import Stage, draw_stage
@@ -17,12 +16,10 @@ from analysis.evaluation.shots.ground_truth_drop import DROP_M, FILMED_S, HELD_S
 from analysis.evaluation.shots.ground_truth_sim import MASS_KG, RADIUS_M
 from analysis.tracking.track import Track
 from recorders.simulators.pinhole import PinholeCamera
+from tunenet_logs.arrays import Array, Picture
 from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.messages import CAMERA_TOPIC
 from tunenet_logs.writer import EpisodeWriter
-
-Array = NDArray[np.float64]
-Picture = NDArray[np.uint8]
 
 SIZE_PX = (640, 480)
 FRAME_HZ = 60.0

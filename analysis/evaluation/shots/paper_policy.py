@@ -16,7 +16,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.drop.presets import PAPERS_CODE
 from analysis.estimators.base import Problem
@@ -37,10 +36,9 @@ from analysis.tunenet.pairs import PairSet, consecutive_pairs
 from recorders.simulators.base import Parameter
 from recorders.simulators.bounce import Bounce
 from recorders.simulators.drop import RESTITUTION, TOPIC
+from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 from tunenet_logs.progress import Progress
-
-Array = NDArray[np.float64]
 
 SAMPLES = 400
 ITERATIONS = 5

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
 from analysis.payload.review.story import PayloadReviewData
 from analysis.review.colors import MUTED
@@ -16,8 +15,7 @@ from analysis.review.sending import at_seconds, screen_radius
 from recorders.simulators.arm.description import Arm
 from recorders.simulators.arm.frames import rotation_from_rpy
 from recorders.simulators.arm.kinematics import LinkPoses, link_poses
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 _GROUND = (16, 18, 24)
 _LINES = (52, 55, 64)

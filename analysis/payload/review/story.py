@@ -14,8 +14,7 @@ from analysis.review.iterates import Iterates, span_of
 from analysis.tuning import Tuning
 from recorders.simulators.arm.description import Arm
 from recorders.simulators.arm.payload import PAYLOAD_MASS
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 MOST_JOINTS = 8
 """That are drawn: those that feel the payload most."""

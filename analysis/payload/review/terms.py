@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
 from analysis.model_averaging import TWO_SIDED
 from analysis.payload.fit_result import Nuisance, PayloadFit
@@ -15,8 +14,7 @@ from analysis.payload.review.story import PayloadReviewData
 from analysis.review.colors import FITTED
 from analysis.review.grid import WIDTH, chart_view, filled, log_grid, mixed, ticks
 from analysis.review.sending import screen_radius
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 _PRIOR = (70, 74, 86)
 _CAP = 0.015

@@ -5,14 +5,12 @@ from __future__ import annotations
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
 from analysis.payload.review.story import PayloadReviewData
 from analysis.review.colors import OBSERVED
 from analysis.review.grid import WIDTH, chart_view, log_grid, ticks
 from analysis.review.sending import at_iterations, at_seconds, screen_radius
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 _LEAST_SPAN_NM = 0.5
 _ROOM = 0.05

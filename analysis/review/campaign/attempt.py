@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
 from analysis.campaign.attempts import Attempt
 from analysis.campaign.tuned_drop import TunedDrop
@@ -16,9 +15,8 @@ from analysis.review.campaign.times import ATTEMPT, FILM, WALL, Shown, Slot, at_
 from analysis.review.colors import FAILURE, OBSERVED, Color
 from analysis.review.grid import chart_view, log_grid, ticks
 from analysis.review.sending import screen_radius
+from tunenet_logs.arrays import Array
 from tunenet_logs.wording import one_line
-
-Array = NDArray[np.float64]
 
 _WIDTH = 1.9
 _SIMULATED: Color = (255, 165, 40)

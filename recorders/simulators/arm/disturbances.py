@@ -6,12 +6,10 @@ import math
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recorders.simulators.arm.description import Arm
+from tunenet_logs.arrays import Array
 from tunenet_logs.errors import UsageError
-
-Array = NDArray[np.float64]
 
 _MOST = 1e6
 _NEVER_NEGATIVE = (

@@ -14,10 +14,9 @@ from recorders.simulators.arm.dynamics import joint_efforts_nm
 from recorders.simulators.arm.path import JointPath
 from recorders.simulators.arm.payload import joint_signals, payload_info
 from recorders.simulators.engine import engine_name
+from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import UsageError
-
-Array = NDArray[np.float64]
 
 STICKING_RAD_S = 0.01
 """Coulomb friction changes its sign over about this speed."""

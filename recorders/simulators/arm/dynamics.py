@@ -6,13 +6,11 @@ import tempfile
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recorders.simulators.arm.description import Arm, Payload
 from recorders.simulators.arm.path import JointPath
 from recorders.simulators.engine import pybullet
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 GRAVITY_M_S2 = (0.0, 0.0, -9.81)
 """Of an arm that stands upright."""

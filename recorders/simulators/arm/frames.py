@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from math import atan2, cos, hypot, sin
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 
 def rotation_from_rpy(rpy: Sequence[float]) -> Array:

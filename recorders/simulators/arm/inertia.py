@@ -6,11 +6,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recorders.simulators.arm.frames import Frame
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from recorders.simulators.arm.description import Arm
 from recorders.simulators.arm.frames import Frame
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

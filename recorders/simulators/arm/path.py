@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from recorders.simulators.arm.description import Arm
 from recorders.simulators.arm.kinematics import link_positions_m
 from recorders.simulators.arm.path_file import read_path_file
+from tunenet_logs.arrays import Array
 from tunenet_logs.errors import UsageError
-
-Array = NDArray[np.float64]
 
 CIRCLE_CSV = Path(__file__).with_name("circle.csv")
 CIRCLE_RAD_S = 1.2

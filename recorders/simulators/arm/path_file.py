@@ -8,12 +8,10 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tunenet_logs.arrays import Array
 from tunenet_logs.errors import LogError, UsageError
 from tunenet_logs.wording import short_name
-
-Array = NDArray[np.float64]
 
 _MOST_ROWS = 200_000
 _MOST_COLUMNS = 100

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recorders.simulators.arm.description import Arm, Payload
 from recorders.simulators.arm.dynamics import GRAVITY_M_S2, joint_efforts_nm
@@ -14,10 +13,9 @@ from recorders.simulators.arm.path import JointPath
 from recorders.simulators.arm.rollout import CALIBRATED, RolloutSettings, roll_out
 from recorders.simulators.base import Parameter
 from recorders.simulators.engine import engine_name
+from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import UsageError
-
-Array = NDArray[np.float64]
 
 TOPIC = "/joint_states"
 PAYLOAD_MASS = Parameter(

@@ -6,15 +6,13 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recorders.simulators.arm.description import Arm, Payload
 from recorders.simulators.arm.dynamics import GRAVITY_M_S2, load_arm
 from recorders.simulators.arm.path import JointPath
 from recorders.simulators.engine import pybullet
+from tunenet_logs.arrays import Array
 from tunenet_logs.errors import UsageError
-
-Array = NDArray[np.float64]
 
 _LIMITS = (
     ("step_hz", 10.0, 20_000.0),

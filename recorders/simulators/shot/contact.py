@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 LEAST_REBOUND_M_S = 0.01
 """A ball that would stay is thrown up so little (5 um), so that it goes on rolling from impact to

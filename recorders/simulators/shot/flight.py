@@ -16,8 +16,8 @@ from recorders.simulators.shot.contact import Balls, collide
 from recorders.simulators.shot.rig import ShotRig
 from recorders.simulators.shot.speed_law import SpeedLaw
 from recorders.simulators.shot.surfaces import Board, Rim, Surface
+from tunenet_logs.arrays import Array
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 STEP_S = 0.002

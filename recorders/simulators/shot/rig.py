@@ -10,12 +10,11 @@ import math
 from dataclasses import dataclass, field, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recorders.simulators.balls import Ball
+from tunenet_logs.arrays import Array
 from tunenet_logs.errors import UsageError
 
-Array = NDArray[np.float64]
 Range = tuple[float, float]
 
 _LIMITS: dict[str, dict[str, Range]] = {

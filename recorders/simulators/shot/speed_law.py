@@ -6,11 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tunenet_logs.arrays import Array
 from tunenet_logs.errors import UsageError
-
-Array = NDArray[np.float64]
 
 _SLOWEST_M_S = 0.05
 """Below it a ball is not known better, and the law must not go beyond all bounds."""

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorders.simulators.shot.rig import ShotRig
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 _SMALLEST_M = 1e-9
 

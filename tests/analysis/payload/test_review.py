@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 
 from analysis.experiment import Selection
@@ -20,8 +19,7 @@ from recorders.simulators.arm.kinematics import link_positions_m
 from tests.analysis.drop.test_review import contents, verified
 from tests.analysis.payload.test_payload import TWO_JOINTS, record
 from tests.conftest import real
-
-Array = NDArray[np.float64]
+from tunenet_logs.arrays import Array
 
 SLIDER = TWO_JOINTS.replace('name="elbow" type="revolute"', 'name="elbow" type="prismatic"')
 ONE_JOINT = TWO_JOINTS.replace('name="elbow" type="revolute"', 'name="elbow" type="fixed"')
