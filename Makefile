@@ -17,8 +17,8 @@ SAMPLES := $(filter-out sample_logs/payload%,$(wildcard sample_logs/*.mcap))
 demo: .venv/installed
 	@mkdir -p demo
 	$(BIN)/tunenet-record --simulate drop --restitution 0.72 --height 1.1 -o demo/drop.mcap --overwrite
-	$(BIN)/tunenet-tune demo/drop.mcap $(SAMPLES) -o demo
-	$(BIN)/tunenet-tune sample_logs/payload.mcap --tare sample_logs/payload_empty.mcap -o demo
+	$(BIN)/tunenet-tune demo/drop.mcap $(SAMPLES) -o demo --overwrite
+	$(BIN)/tunenet-tune sample_logs/payload.mcap --tare sample_logs/payload_empty.mcap -o demo --overwrite
 	$(BIN)/tunenet-review sample_logs/campaign -o demo/campaign.rrd
 	@echo "look at them: $(BIN)/rerun demo/drop.rrd"
 

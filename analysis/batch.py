@@ -4,20 +4,26 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
-from multiprocessing import get_context
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from datetime import UTC, datetime
+from functools import partial
+from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
-from analysis.record import Row, row_of, to_json
-from analysis.result_files import PARTIAL, replacing
+from analysis.processes import Piece, parallel_map
+from analysis.record import Provenance, record_of
+from analysis.record_json import to_json
+from analysis.report import Row, row_of
+from analysis.result_files import PARTIAL, check_own, log_sha256, replacing
 from analysis.review.tuning_review import write_review
-from analysis.tuning import Options, Tuning, tune_log
+from analysis.selection import Options, Selection
+from analysis.tuning import tune_log
+from analysis.tuning_result import Tuning
 from tunenet_logs.commandline import print_traceback
 from tunenet_logs.errors import LogError, UsageError, WeightsError
-from tunenet_logs.formats.opening import is_folder
+from tunenet_logs.formats.registry import is_folder
 from tunenet_logs.output.log_place import ACTIVE_SUFFIX
 from tunenet_logs.progress import Progress
 
@@ -36,56 +42,67 @@ class Result:
     trouble: str | None = None
 
 
+@dataclass(frozen=True)
+class _Work:
+    """One log, and where its results go, without the suffix."""
+
+    log: Path
+    name: Path
+
+
 def tune_all(
-    logs: Sequence[Path], options: Options, folder: Path | None, jobs: int, progress: Progress
+    logs: Sequence[Path],
+    options: Options,
+    folder: Path | None,
+    jobs: int,
+    progress: Progress,
+    *,
+    overwrite: bool = False,
 ) -> list[Result]:
     """Tune every log, write its JSON and review, and return what came out in the logs' order.
+
+    Args:
+        logs: a log that is named twice is tuned once.
+        options: for all of them.
+        folder: where results go; None for beside each log.
+        jobs: processes.
+        progress: shows how many are done.
+        overwrite: whether results of other logs may be replaced.
 
     Raises:
         UsageError: the options fit no log at all, or two logs would write the same results.
     """
     logs = list({log.resolve(): log for log in logs}.values())
-    names = _names(logs, folder)
-    work = [(log, options, name) for log, name in zip(logs, names, strict=True)]
-    with progress.bar(len(work), "tuning", "log") as bar:
-        if min(jobs, len(work)) == 1:
-            results = []
-            for item in work:
-                results.append(_one(*item))
-                bar.update(1)
-            return results
-        return _in_processes(work, min(jobs, len(work)), bar.update)
+    pieces = [Piece(_Work(*pair)) for pair in zip(logs, _names(logs, folder), strict=True)]
+    work = partial(_tuned_and_written, options=options, overwrite=overwrite)
+    lost = partial(_lost, options=options)
+    what = ("tuning", "log")
+    return parallel_map(work, pieces, jobs, progress, what, may_stay=True, lost=lost)
 
 
-def _in_processes(
-    work: list[tuple[Path, Options, Path]], jobs: int, done: Callable[[int], object]
-) -> list[Result]:
-    results: dict[int, Result] = {}
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        futures = {pool.submit(_one, *item): index for index, item in enumerate(work)}
-        for future in as_completed(futures):
-            if not isinstance(future.exception(), BrokenProcessPool):
-                results[futures[future]] = future.result()
-                done(1)
-    for index, item in enumerate(work):  # a process that dies takes its pool with it
-        if index not in results:
-            results[index] = _alone(*item)
-            done(1)
-    return [results[index] for index in range(len(work))]
+def _lost(work: _Work, options: Options) -> Result:
+    return _rejected(work.log, options, "the process that tuned it died (out of memory?)")
 
 
-def _alone(log: Path, options: Options, name: Path) -> Result:
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        future: Future[Result] = pool.submit(_one, log, options, name)
-        try:
-            return future.result()
-        except BrokenProcessPool:
-            reason = "the process that tuned it died (out of memory?)"
-            return Result(row_of(Tuning(log, options.task, options.preset, "rejected", reason)))
+def _rejected(log: Path, options: Options, reason: str, trouble: str | None = None) -> Result:
+    tuning = Tuning(log, options.task, options.preset, "rejected", reason)
+    return Result(row_of(tuning, record_of(tuning)), trouble=trouble)
 
 
-def _one(log: Path, options: Options, name: Path) -> Result:
+def _tuned_and_written(work: _Work, options: Options, *, overwrite: bool) -> Result:
     """Tune one log and write its results; runs in the worker processes."""
+    log, (report, recording) = work.log, _results(work.name)
+    try:
+        sha256 = log_sha256(log)
+    except OSError:  # reading it says why in our own words
+        sha256 = ""
+    if not overwrite:
+        try:
+            check_own(report, recording, log, sha256)
+        except LogError as error:
+            return _rejected(
+                log, options, "not tuned: its results would replace others", str(error)
+            )
     try:
         tuning = tune_log(log, options)
     except (UsageError, WeightsError):  # the same for every log
@@ -94,25 +111,61 @@ def _one(log: Path, options: Options, name: Path) -> Result:
         print_traceback()
         reason = f"unexpected {type(error).__name__}: {error}; please report it with the log"
         tuning = Tuning(log, options.task, options.preset, "rejected", reason)
-    review = None
-    report, recording = _results(name)
+    record = record_of(tuning, _provenance(tuning, sha256, options))
+    row, review = row_of(tuning, record), None
     try:
         if log.is_file() or tuning.episode is not None:  # a folder that is a log
-            name.parent.mkdir(parents=True, exist_ok=True)
+            work.name.parent.mkdir(parents=True, exist_ok=True)
             episode = tuning.episode
             if episode is not None and (episode.signals or episode.picture_topics):
                 review = recording
-                with replacing(review) as partial:
-                    write_review(tuning, partial)
-            with replacing(report) as partial:
-                partial.write_text(to_json(tuning), "utf-8", errors="backslashreplace")
+                with replacing(review) as unfinished:
+                    write_review(tuning, record, unfinished)
+            with replacing(report) as unfinished:
+                unfinished.write_text(to_json(record), "utf-8", errors="backslashreplace")
     except (OSError, UnicodeError) as error:  # the latter for a name that Rerun cannot take
-        place, why = name.parent, "its name is not UTF-8"
+        place, why = work.name.parent, "its name is not UTF-8"
         if isinstance(error, OSError):
             place, why = str(error.filename or place).removesuffix(PARTIAL), error.strerror
         trouble = f"{place}: cannot be written ({why}); choose another folder with -o"
-        return Result(row_of(tuning), None, trouble)
-    return Result(row_of(tuning), review)
+        return Result(row, None, trouble)
+    return Result(row, review)
+
+
+def _provenance(tuning: Tuning, sha256: str, options: Options) -> Provenance:
+    """Where the record of a tuning comes from."""
+    tare = options.selection.tare
+    named = None
+    if isinstance(tare, Path):
+        try:
+            named = {"log": tare.name, "sha256": log_sha256(tare)}
+        except OSError:  # the tuning was rejected for it
+            named = {"log": tare.name, "sha256": ""}
+    return Provenance(
+        version=version("tunenet-logs"),
+        log_sha256=sha256,
+        options={**_given(options, Options()), **_given(options.selection, Selection())},
+        tare=named,
+        date=datetime.now(UTC).isoformat(timespec="seconds"),
+        engine=None if tuning.simulator is None else tuning.simulator["engine"],
+    )
+
+
+def _given(options: Options | Selection, defaults: Options | Selection) -> dict[str, Any]:
+    """What differs from the defaults, as JSON has it; files by their names."""
+    found: dict[str, Any] = {}
+    for field in fields(options):
+        value = getattr(options, field.name)
+        if value == getattr(defaults, field.name) or field.name in ("selection", "tare"):
+            continue
+        if isinstance(value, Path):
+            value = value.name
+        elif field.name == "arm":
+            value = {"urdf": value[0].name, "tool_link": value[1]}
+        elif field.name in ("hints", "ball"):
+            value = {part.name: getattr(value, part.name) for part in fields(value)}
+        found[field.name] = value
+    return found
 
 
 def _results(name: Path) -> tuple[Path, Path]:
@@ -128,9 +181,8 @@ def _name(log: Path, folder: Path | None) -> Path:
     return (folder or log.parent) / (stem or name)
 
 
-def _names(logs: Iterable[Path], folder: Path | None) -> list[Path]:
+def _names(logs: Sequence[Path], folder: Path | None) -> list[Path]:
     """Where each log's results go, without the suffix; logs of one stem get their folder's name."""
-    logs = list(logs)
     names = [_name(log, folder) for log in logs]
     taken = Counter(names)
     names = [

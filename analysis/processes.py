@@ -1,4 +1,4 @@
-"""Work spread over processes: the same results, in the same order, however many there are."""
+"""Work in several processes: the same results, in the same order, however many there are."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import active_children, get_context
@@ -28,8 +29,8 @@ class Piece(Generic[Item]):
     """
 
     item: Item
-    units: int
-    name: str
+    units: int = 1
+    name: str = ""
 
 
 def parallel_map(
@@ -38,6 +39,9 @@ def parallel_map(
     jobs: int | None,
     progress: Progress,
     what: tuple[str, str],
+    *,
+    may_stay: bool = False,
+    lost: Callable[[Item], Result] | None = None,
 ) -> list[Result]:
     """`work` on every piece, in `jobs` processes.
 
@@ -47,6 +51,9 @@ def parallel_map(
         jobs: None for all cores.
         progress: shows what is under way.
         what: is done, and the name of a unit of it.
+        may_stay: whether one job runs in this process, with as many threads as that has.
+        lost: the result of an item whose process dies twice, the second time alone; without it a
+            process that dies is an error.
 
     Returns:
         One result for each piece, in their order.
@@ -54,14 +61,31 @@ def parallel_map(
     jobs = min(jobs or len(os.sched_getaffinity(0)), max(1, len(pieces)))
     total = sum(piece.units for piece in pieces)
     results: dict[int, Result] = {}
-    with progress.bar(total, *what) as bar, _pool(jobs) as pool:
-        with _interrupts_held():  # this process ends its workers, quietly
-            futures = {pool.submit(work, piece.item): at for at, piece in enumerate(pieces)}
-        for future in as_completed(futures):
-            at = futures[future]
-            results[at] = future.result()
+    with progress.bar(total, *what) as bar:
+
+        def done(at: int, result: Result) -> None:
+            results[at] = result
             bar.set_postfix_str(pieces[at].name, refresh=False)
             bar.update(pieces[at].units)
+
+        if jobs == 1 and may_stay:
+            for at, piece in enumerate(pieces):
+                done(at, work(piece.item))
+            return list(results.values())
+        with _pool(jobs) as pool:
+            with _interrupts_blocked():  # this process ends its workers, quietly
+                futures = {pool.submit(work, piece.item): at for at, piece in enumerate(pieces)}
+            for future in as_completed(futures):
+                died = isinstance(future.exception(), BrokenProcessPool)
+                if lost is None or not died:
+                    done(futures[future], future.result())
+        for at, piece in enumerate(pieces):  # a process that dies takes its pool with it
+            if lost is not None and at not in results:
+                with _pool(1) as pool:
+                    try:
+                        done(at, pool.submit(work, piece.item).result())
+                    except BrokenProcessPool:
+                        done(at, lost(piece.item))
     return [results[at] for at in range(len(pieces))]
 
 
@@ -69,7 +93,7 @@ def parallel_map(
 def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
     """Processes of one thread each; an error or Ctrl-C ends them at once.
 
-    They are used for one job too: how many threads add up a product decides its last bits.
+    The number of threads that add up a product decides its last bits.
     """
     before = {name: os.environ.get(name) for name in BLAS_THREADS}
     os.environ.update(dict.fromkeys(BLAS_THREADS, "1"))
@@ -91,7 +115,7 @@ def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
 
 
 @contextmanager
-def _interrupts_held() -> Iterator[None]:
+def _interrupts_blocked() -> Iterator[None]:
     """What is started here never sees Ctrl-C; this process does, as soon as it may."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:

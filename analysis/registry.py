@@ -1,34 +1,78 @@
-"""The experiments, by name. A new one is one file here, and one line below."""
+"""The experiments and the methods by name: a new one is its own folder or file, and a line here.
+
+The entries are texts, so that a command can list the names without loading anything.
+"""
 
 from __future__ import annotations
 
-from analysis.drop.from_film import DropVideoTask
-from analysis.drop.from_positions import DropTask
-from analysis.experiment import Task
-from analysis.payload.experiment import PayloadTask
-from tunenet_logs.episode import Episode
+from functools import cache
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
-TASKS: dict[str, Task] = {task.name: task for task in (DropTask(), DropVideoTask(), PayloadTask())}
+from tunenet_logs.errors import UsageError
+
+if TYPE_CHECKING:
+    from analysis.estimators.base import Estimator
+    from analysis.experiment import Experiment
+    from tunenet_logs.episode import Episode
+
+EXPERIMENTS = {
+    "drop": "analysis.drop.from_positions:DropFromPositions",
+    "drop-video": "analysis.drop.from_film:DropFromFilm",
+    "payload": "analysis.payload.experiment:PayloadExperiment",
+}
+"""Name -> module:class. One kind of experiment may be observed in several ways: KIND-WAY."""
+
+METHODS = {
+    "tunenet+refine": "analysis.estimators.exact_fit:TuneNetThenFit",
+    "tunenet": "analysis.estimators.tunenet:TuneNet",
+    "fit": "analysis.estimators.exact_fit:ExactFit",
+    "tunenet+line": "analysis.estimators.rollout_line:TuneNetThenLine",
+    "line": "analysis.estimators.rollout_line:RolloutLine",
+    "secant": "analysis.drop.flight_secant:FlightSecant",
+    "brent": "analysis.estimators.brent:Brent",
+    "least-squares": "analysis.estimators.least_squares:LeastSquares",
+    "tpe": "analysis.estimators.tpe:Tpe",
+}
+"""Name -> module:class, the usual one first."""
 
 
-KINDS: tuple[str, ...] = tuple(dict.fromkeys(task.kind for task in TASKS.values()))
+def kinds() -> tuple[str, ...]:
+    """The kinds of experiments, as logs and `--task` name them."""
+    return tuple(dict.fromkeys(name.partition("-")[0] for name in EXPERIMENTS))
 
 
-def task_for(kind: str, episode: Episode, topic: str | None) -> Task | None:
-    """The first task of a kind that finds what it looks at; else the first, to say what it misses.
+def experiment_named(name: str) -> Experiment:
+    """The experiment of that name in `EXPERIMENTS`."""
+    return _loaded(EXPERIMENTS[name])()
 
-    None where there is no task of that kind.
+
+def method_named(name: str) -> type[Estimator]:
+    """The method of that name.
+
+    Raises:
+        UsageError: there is none; the message lists those that there are.
     """
-    tasks = [task for task in TASKS.values() if task.kind == kind]
-    fitting = (task for task in tasks if task.claim(episode, topic))
-    return next(fitting, tasks[0] if tasks else None)
+    if name not in METHODS:
+        raise UsageError(f"there is no method {name!r}; choose one of: {', '.join(METHODS)}")
+    return _loaded(METHODS[name])
 
 
-def kinds_of(episode: Episode, topic: str | None) -> tuple[str, ...]:
-    """What an episode that does not say so may be: the kinds whose claim is the strongest."""
+def experiments_of(kind: str) -> tuple[Experiment, ...]:
+    """All ways of observing one kind of experiment; none where the kind is unknown."""
+    return tuple(experiment_named(name) for name in EXPERIMENTS if name.partition("-")[0] == kind)
+
+
+def kinds_in(episode: Episode, topic: str | None) -> tuple[str, ...]:
+    """What an episode that does not say so may show: the kinds whose claim is the strongest."""
     claims = {
-        kind: max(task.claim(episode, topic) for task in TASKS.values() if task.kind == kind)
-        for kind in KINDS
+        kind: max(way.claim(episode, topic) for way in experiments_of(kind)) for kind in kinds()
     }
     best = max(claims.values())
     return tuple(kind for kind, claim in claims.items() if claim and claim == best)
+
+
+@cache
+def _loaded(where: str) -> Any:
+    module, _, name = where.partition(":")
+    return getattr(import_module(module), name)

@@ -1,14 +1,22 @@
-"""Files of results: whole or not there, and known to be writable before the work is done."""
+"""Files of results: whole or not there, writable before the work is done, and never another's."""
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from tunenet_logs.errors import UsageError
+from analysis.record_json import read_record
+from tunenet_logs.errors import LogError, UsageError
 
 PARTIAL = ".partial"
+
+_HEADER_BYTES = 4096
+"""Of a recording for Rerun, in which its names stand."""
+
+_OWN_DIGITS = 32
+"""Of a log's SHA-256 in the name of its review: enough to tell any two logs apart."""
 
 
 @contextmanager
@@ -40,3 +48,57 @@ def check_writable(path: Path, option: str) -> None:
         raise UsageError(
             f"{path}: cannot be written ({error.strerror}); give {option} another file"
         ) from error
+
+
+def log_sha256(log: Path) -> str:
+    """SHA-256 of a log; of a folder, of the names and contents of its files.
+
+    Raises:
+        OSError: it cannot be read, or is neither file nor folder.
+    """
+    if not log.is_dir():
+        if log.exists() and not log.is_file():
+            raise OSError(f"{log} is no file")  # reading a pipe would wait for ever
+        with log.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    state = hashlib.sha256()
+    for path in sorted(log.iterdir()):
+        if path.is_file():
+            state.update(f"{path.name}\0{log_sha256(path)}\n".encode(errors="surrogateescape"))
+    return state.hexdigest()
+
+
+def review_name(sha256: str) -> str:
+    """What the review of a log is called inside, so that it can be told from another's."""
+    return sha256[:_OWN_DIGITS]
+
+
+def check_own(results: Path, review: Path, log: Path, sha256: str) -> None:
+    """Refuse to replace the results of something else.
+
+    Args:
+        results: the JSON that is to be written.
+        review: the recording for Rerun.
+        log: whose they are to be.
+        sha256: of it.
+
+    Raises:
+        LogError: one of them is there, and not of this log; the message names both.
+    """
+    choose = "choose another folder with -o, or pass --overwrite"
+    if results.exists():
+        record = None
+        with suppress(LogError):
+            record = read_record(results)
+        if record is None:
+            raise LogError(f"{results}: exists, and is no tuning of {log.name}; {choose}")
+        known = record.provenance.log_sha256 if record.provenance else None
+        if known != sha256:
+            raise LogError(
+                f"{results}: is the tuning of {record.log}"
+                f"{' before it changed' if record.log == log.name else ''}, not of {log}; {choose}"
+            )
+    elif review.exists():
+        with review.open("rb") as file:
+            if review_name(sha256).encode() not in file.read(_HEADER_BYTES):
+                raise LogError(f"{review}: exists, and is no review of {log.name}; {choose}")

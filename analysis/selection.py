@@ -1,12 +1,96 @@
-"""The part of a recording that a user selects."""
+"""What a user chooses: how to tune, which part of a log, and what is known of ball or arm."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from recorders.simulators.balls import Ball
+from tunenet_logs.episode import Episode
 from tunenet_logs.errors import NotFoundError
 
 
+@dataclass(frozen=True)
+class Hints:
+    """What a user may say about the ball in pictures; nothing is needed.
+
+    Attributes:
+        roi: left, top, width, height [px] of the part of the picture to look in.
+        hsv: lowest and highest hue (0 to 179), saturation and value (0 to 255) of the ball.
+        ball_at: x, y [px] of the ball, and when [s since the first picture, selected or not].
+    """
+
+    roi: tuple[int, int, int, int] | None = None
+    hsv: tuple[tuple[int, int, int], tuple[int, int, int]] | None = None
+    ball_at: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Which part of a log to look at, and what is known beforehand.
+
+    Attributes:
+        topic: which channel; None for the best.
+        start_s: what comes before is left out [s since the log's first sample].
+        end_s: what comes after is left out [s since the log's first sample].
+        hints: where the ball is in a picture.
+        ball: what was dropped: then the air's drag on it is known.
+        fit_drag: whether to find the drag from the bounces instead.
+        tare: a log of the same arm with nothing in its gripper, or what was read of one.
+        arm: whose URDF, and the link that holds the payload; None for the Jaco.
+    """
+
+    topic: str | None = None
+    start_s: float | None = None
+    end_s: float | None = None
+    hints: Hints = field(default_factory=Hints)
+    ball: Ball = field(default_factory=Ball)
+    fit_drag: bool = False
+    tare: Path | Episode | None = None
+    arm: tuple[Path, str] | None = None
+
+    @property
+    def ball_options(self) -> tuple[str, ...]:
+        """The options given that are for a filmed ball, as a user names them."""
+        given = {
+            "--roi": self.hints.roi is not None,
+            "--hsv": self.hints.hsv is not None,
+            "--ball-at": self.hints.ball_at is not None,
+            "the ball's size and mass": self.ball != Ball(),
+            "--fit-drag": self.fit_drag,
+        }
+        return tuple(name for name, is_given in given.items() if is_given)
+
+    @property
+    def arm_options(self) -> tuple[str, ...]:
+        """The options given that are for an arm, as a user names them."""
+        given = {"--tare": self.tare is not None, "--urdf": self.arm is not None}
+        return tuple(name for name, is_given in given.items() if is_given)
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a user may choose; see `tunenet-tune --help`.
+
+    Attributes:
+        task: the kind of experiment; None to go by the log.
+        iterations: most rollouts of the method, before the last one, which checks its answer.
+        initial: one value a parameter; None for the method's own.
+        method: one of `registry.METHODS`; None for the preset's.
+        weights: None for those that the package ships.
+    """
+
+    task: str | None = None
+    preset: str = "default"
+    iterations: int = 5
+    initial: tuple[float, ...] | None = None
+    method: str | None = None
+    weights: Path | None = None
+    selection: Selection = field(default_factory=Selection)
+
+
 def check_start(start_s: float | None, length_s: float) -> None:
-    """Refuse a part that begins where nothing was recorded any more.
+    """Refuse a part that begins after the end of a recording.
 
     Args:
         start_s: where the part begins [s since the first sample]; None for there.

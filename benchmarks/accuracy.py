@@ -12,7 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.tuning import Options, tune_log
+from analysis.selection import Options
+from analysis.tuning import tune_log
 from recorders.session import record_episode
 from recorders.simulated_drop import DropOrder, simulate_drop
 from tunenet_logs.progress import Progress

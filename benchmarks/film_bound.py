@@ -9,15 +9,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from analysis.drop.film_fit import IDEAL, PERSPECTIVE, PRIORS_SD, Samples
-from analysis.evaluation.tracks import (
+from analysis.drop.film_fit import IDEAL, PERSPECTIVE, PRIORS_SD, TrackSamples
+from analysis.evaluation.video.tracks import (
     NARROW,
     NOISES_PX,
     TRACK_SETS,
     WIDE,
-    Balls,
-    Shot,
-    draw_shot,
+    BallRanges,
+    TrackScene,
+    draw_scene,
     upright,
 )
 
@@ -26,16 +26,18 @@ COUNT = 400
 ROUNDING_PX2 = 1 / 12
 
 
-def bound(shot: Shot) -> float:
+def bound(scene: TrackScene) -> float:
     """Standard deviation of the restitution by an efficient estimator."""
-    places, depths = shot.view.image_from_world(upright(np.array([0.0, shot.ball.drop_m])))
-    fall_s = shot.ball.fall_s
+    places, depths = scene.view.image_from_world(upright(np.array([0.0, scene.ball.drop_m])))
+    fall_s = scene.ball.fall_s
     span_px = float(np.linalg.norm(places[1] - places[0]))
     perspective = float(np.log(depths[0] / depths[1]))
-    truth = [shot.ball.restitution, fall_s, np.log(fall_s), 0.0, span_px, perspective, 0.0, 0.0]
-    seconds = shot.seconds[~shot.lost]
-    noise_px = float(np.sqrt(shot.noise_px**2 + ROUNDING_PX2))
-    slopes = Samples(seconds, np.zeros(len(seconds)), noise_px).slopes(np.array(truth), IDEAL)
+    truth = [scene.ball.restitution, fall_s, np.log(fall_s), 0.0, span_px, perspective, 0.0, 0.0]
+    seconds = scene.seconds[~scene.lost]
+    noise_px = float(np.sqrt(scene.noise_px**2 + ROUNDING_PX2))
+    slopes = TrackSamples(seconds, np.zeros(len(seconds)), noise_px).jacobian(
+        np.array(truth), IDEAL
+    )
     information = slopes.T @ slopes / noise_px**2
     information[PERSPECTIVE, PERSPECTIVE] += PRIORS_SD[PERSPECTIVE] ** -2
     return float(np.sqrt(np.linalg.inv(information)[0, 0]))
@@ -45,11 +47,11 @@ def main() -> None:
     for which in TRACK_SETS:
         for noise_px in NOISES_PX:
             for low, high in (NARROW, WIDE):
-                shots = [
-                    draw_shot(which, Balls((low, high)), noise_px, SEED, number)
+                scenes = [
+                    draw_scene(which, BallRanges((low, high)), noise_px, SEED, number)
                     for number in range(COUNT)
                 ]
-                sds = np.array([bound(shot) for shot in shots])
+                sds = np.array([bound(scene) for scene in scenes])
                 print(
                     f"{which.name}, {noise_px:g} px, {low:g} to {high:g}: mean absolute error "
                     f"{np.sqrt(2 / np.pi) * sds.mean():.4f}, width {3.92 * np.median(sds):.4f}"

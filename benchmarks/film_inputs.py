@@ -17,15 +17,15 @@ from functools import partial
 
 import numpy as np
 
-from analysis.drop.best_projective_map import best_map
 from analysis.drop.film import FilmedDrop, canonical_film
 from analysis.drop.film_presets import FilmPlan, any_rig, film_of
 from analysis.drop.observations import CANONICAL_PER_FALL, canonical_axis
 from analysis.drop.presets import OUR_TRAINING
+from analysis.drop.projection import best_map
 from analysis.tunenet.network import AntisymmetricNetwork, Model
 from analysis.tunenet.pairs import PairSet, cross_pairs, observe_all
 from analysis.tunenet.training import train
-from recorders.simulators.bounce import Bounce
+from recorders.simulators.closed_form.bounce import Bounce
 from recorders.simulators.contact import CALIBRATED
 from recorders.simulators.drop import DropSimulator
 from tunenet_logs.arrays import Array
@@ -117,7 +117,7 @@ def samples_of(film: FilmedDrop) -> Array:
 def best_seen(restitution: float, target: Array, noise: float) -> Array:
     """The simulated curve as the camera that suits this track most would show it."""
     heights = Bounce(restitution).heights(SAMPLES)
-    return best_map(heights, target, noise).places(heights)
+    return best_map(heights, target, noise).positions(heights)
 
 
 def networks_of(

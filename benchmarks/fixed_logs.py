@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.evaluation.bouncing_ball import DroppedBall, drop_ball
+from analysis.evaluation.video.bouncing_ball import DroppedBall, drop_ball
 from recorders.cli import main as record
 from tests import strangers
 

@@ -20,12 +20,13 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.evaluation.clip_file import write_clip
-from analysis.evaluation.clip_order import ClipOrder, draw_clip
-from analysis.evaluation.clips import track_errors_px
+from analysis.evaluation.clips.file import write_clip
+from analysis.evaluation.clips.order import ClipOrder, draw_clip
+from analysis.evaluation.clips.run import track_errors_px
+from analysis.selection import Options
 from analysis.tracking.pictures import Pictures
 from analysis.tracking.track import track_ball
-from analysis.tuning import Options, tune_log
+from analysis.tuning import tune_log
 from tunenet_logs.errors import NotFoundError
 from tunenet_logs.reader import read_episode
 

@@ -19,9 +19,9 @@ from collections.abc import Callable
 from multiprocessing import get_context
 from typing import TYPE_CHECKING, Any
 
-from analysis.drop.presets import PRESETS
+from analysis.drop.presets import TRAININGS
 from analysis.tunenet.training import train
-from recorders.simulators.engine import pybullet
+from recorders.simulators.pybullet.engine import pybullet
 from tunenet_logs.progress import Progress
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     import torch
 
-PRESET = PRESETS["paper-code"]
+PRESET = TRAININGS["paper-code"]
 PAIRS, STEPS, WIDTH = 800, 400, 32
 MOST_S, MOST_RATIO = 6.0, 1.5
 ROUNDS = 3

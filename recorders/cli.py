@@ -19,7 +19,7 @@ from recorders.payload_options import (
 from recorders.ros2.options import record_joints_as_asked, ros2_options
 from recorders.shot_options import record_shot_as_asked, shot_options
 from tunenet_logs.commandline import Parser, number, run, size_px, whole
-from tunenet_logs.wording import one_line
+from tunenet_logs.text import one_line
 
 _DESCRIPTION = """\
 Record an episode to an MCAP log: a real ball that is dropped before a camera or in a

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from recorders.simulated_drop import DropOrder, simulate_drop
 from recorders.simulators.drop import TOPIC
 from recorders.simulators.pinhole import PinholeCamera, random_camera
-from recorders.simulators.rendering import BallScene
+from recorders.simulators.pybullet.rendering import BallScene
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Channel, Episode, Frame
 from tunenet_logs.errors import UsageError
@@ -22,9 +22,13 @@ CAMERA_SEED = 0xCA3E
 """The camera is drawn from a stream of its own: a seed gives one drop, filmed or not."""
 
 _JPEG_QUALITY = 92
+"""Of 100; webcams are near it: artefacts as in a real recording."""
+
 _SUBFRAMES = 8
+"""Positions of the ball while the shutter is open, whose mean is its blur."""
+
 _FILMED_HEIGHT_M = (0.4, 2.0)
-"""From which a drop is drawn that a camera is to see."""
+"""Range of drop heights before a camera: those of a table or a person."""
 
 
 @dataclass(frozen=True)

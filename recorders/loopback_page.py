@@ -12,6 +12,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, Protocol
 
 _MAX_BODY_BYTES = 1024
+"""Of a request: the page sends a few numbers."""
 _DRAINED_BYTES = 64 * 1024
 """Of a body that is too long: with less taken, the sender might not hear the answer."""
 

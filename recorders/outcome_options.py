@@ -15,14 +15,16 @@ from typing import TYPE_CHECKING, Any
 
 from tunenet_logs.commandline import number, whole
 from tunenet_logs.errors import LogError, UsageError
-from tunenet_logs.wording import one_line, short_name
+from tunenet_logs.text import one_line, short_name
 
 if TYPE_CHECKING:
     from tunenet_logs.outcome import Outcome
 
 _TASK = "bounce-shot"
 _MOST_LETTERS = 1000
+"""Of a text or path: it is one line of a table later."""
 _MOST_TUNING_BYTES = 64 * 1024**2
+"""Far more than a tuning's JSON has; what is larger is another file."""
 
 
 def outcome_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:

@@ -11,11 +11,14 @@ from recorders.simulators.drop import RESTITUTION, TOPIC, DropRig, DropSimulator
 from tunenet_logs.episode import Episode, Signal
 from tunenet_logs.errors import UsageError
 
-_PAPER_RATE_HZ = 60.0
-_PAPER_SAMPLES = 400
+_PAPER_RATE_HZ, _PAPER_SAMPLES = 60.0, 400
+"""The paper's recordings of a drop."""
+
 _RADIUS_M = {"default": 0.05, "paper": 0.5}
-_DRAWN_RESTITUTION = (0.1, 0.95)
-_DRAWN_HEIGHT_M = (0.3, 5.0)
+"""Of the ball, by preset; the paper's is its authors'."""
+
+_DRAWN_RESTITUTION, _DRAWN_HEIGHT_M = (0.1, 0.95), (0.3, 5.0)
+"""Ranges of what is not ordered: several impacts are then in the usual 6.7 s."""
 
 
 @dataclass(frozen=True)

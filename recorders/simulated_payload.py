@@ -33,9 +33,25 @@ from tunenet_logs.errors import UsageError
 CIRCLE, RANDOM = "circle", "random"
 
 _DRAWN_MASS_KG = (0.1, 1.5)
-_RATE_HZ, _DRIVER_RATE_HZ, _COMMAND_RATE_HZ, _FINE_RATE_HZ = 60.0, 65.0, 100.0, 240.0
+"""Range of a payload that is not ordered: what a Jaco can lift."""
+
+_RATE_HZ = 60.0
+"""Of an ideal log: the paper's."""
+
+_DRIVER_RATE_HZ = 65.0
+"""Messages of a Kinova driver, as measured in a log of one."""
+
+_COMMAND_RATE_HZ = 100.0
+"""Rows of a path for a real arm: what its position interface takes."""
+
+_FINE_RATE_HZ = 240.0
+"""Of the motion between whose samples a driver's messages are interpolated: the engine's steps."""
+
 _SECONDS = 5.0
+"""Of a motion: about one turn of the circle, 5.2 s."""
+
 _EASED_S = 1.0
+"""In which a real arm gets to its speed, and to rest."""
 
 
 @dataclass(frozen=True)

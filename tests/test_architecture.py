@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from functools import cache
@@ -21,6 +22,8 @@ HEAVY = {"torch", "pybullet", "rerun", "cv2", "av", "pinocchio", "pandas", "tqdm
 HEAVY |= {"cma", "optuna", "sklearn", "matplotlib", "cyclonedds", "sbi"}
 OWNERS = {"rerun": "review", "cyclonedds": "ros2"}
 """The folders, by name, whose modules may import a library at module level."""
+ENGINE_FOLDERS = {"pybullet": "recorders.simulators.pybullet"}
+"""The one package that may import a physics engine at all, or speak its keywords."""
 FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 
 
@@ -77,6 +80,38 @@ def test_heavy_libraries_are_imported_when_needed():
         if (top := name.partition(".")[0]) in HEAVY and OWNERS.get(top) not in path.parts
     ]
     assert not early, "\n".join(early)
+
+
+def keywords(tree: ast.Module) -> set[str]:
+    """Words in camel case that are an argument's name in a call, or stand as a text."""
+    words = {
+        word
+        for node in ast.walk(tree)
+        for word in (getattr(node, "arg", None), getattr(node, "value", None))
+        if isinstance(node, ast.keyword | ast.Constant) and isinstance(word, str)
+    }
+    return {word for word in words if re.fullmatch("[a-z]+[A-Z][A-Za-z]+", word)}
+
+
+@pytest.mark.parametrize(("library", "folder"), ENGINE_FOLDERS.items())
+def test_a_physics_engine_is_known_in_its_folder_alone(library: str, folder: str):
+    """Imports inside of functions count too: what is simulated is written for any engine."""
+    inside = {path for path in FILES if name_of(path).startswith(folder)}
+    spoken = set().union(*(keywords(tree_of(path)) for path in inside))
+    assert {"physicsClientId", "contactSlop"} <= spoken
+    wrong = [
+        f"{name_of(path)} imports {name}"
+        for path in FILES
+        for node in ast.walk(tree_of(path))
+        for name in imported(node)
+        if name.partition(".")[0] == library and path not in inside
+    ] + [
+        f"{name_of(path)} names {word}"
+        for path in FILES
+        if path not in inside
+        for word in spoken & set(re.findall(r"\w+", path.read_text()))
+    ]
+    assert not wrong, "\n".join(wrong)
 
 
 def test_the_product_knows_nothing_of_its_evaluation():

@@ -11,8 +11,8 @@ import pytest
 
 from analysis.campaign.build import campaign_of
 from analysis.campaign.rates import overall_rates
-from analysis.experiment import Selection
-from analysis.tuning import Options, tune_log
+from analysis.selection import Options, Selection
+from analysis.tuning import tune_log
 from tests.conftest import BIN, ROOT, Command
 from tunenet_logs.progress import Progress
 

@@ -35,17 +35,17 @@ def check(path: Path, progress: Progress) -> Health:
     damage = list(episode.losses)
     for topic in episode.picture_topics:
         damage += _picture_damage(episode, topic, progress)
-    doubts = tuple(one for one in episode.warnings if one not in episode.losses)
+    doubts = tuple(warning for warning in episode.warnings if warning not in episode.losses)
     return Health(episode, tuple(damage), doubts)
 
 
 def _picture_damage(episode: Episode, topic: str, progress: Progress) -> list[str]:
     """What is wrong with the pictures of a topic, beside messages that are damaged themselves."""
-    told = sum(one.messages for one in episode.channels if one.topic == topic)
+    stated = sum(channel.messages for channel in episode.channels if channel.topic == topic)
     bad: list[int] = []
     count = 0
     found: list[str] = []
-    with progress.bar(told, topic, "picture") as bar:
+    with progress.bar(stated, topic, "picture") as bar:
         try:
             for frame in episode.frames(topic):
                 count += 1
@@ -55,7 +55,7 @@ def _picture_damage(episode: Episode, topic: str, progress: Progress) -> list[st
                 except LogError:
                     bad.append(frame.stamp_ns)
         except LogError as error:
-            found.append(f"{topic}: reading ends after {count} of {told} pictures: {error}")
+            found.append(f"{topic}: reading ends after {count} of {stated} pictures: {error}")
     if bad:
         found.append(f"{topic}: {len(bad)} of {count} pictures are damaged, first {bad[0]} ns")
     return found

@@ -10,8 +10,9 @@ from pathlib import Path
 from tunenet_logs.commandline import Parser, run
 from tunenet_logs.errors import TuneNetError
 from tunenet_logs.progress import Progress
-from tunenet_logs.wording import one_line
+from tunenet_logs.text import one_line
 
+# The texts of --help.
 _DESCRIPTION = """\
 Logs of any kind: MCAP, ROS 1 and ROS 2 bags, CSV tables, videos.
 

@@ -16,7 +16,7 @@ from typing import NoReturn
 
 from tunenet_logs import __version__
 from tunenet_logs.errors import TuneNetError, UsageError
-from tunenet_logs.wording import one_line
+from tunenet_logs.text import one_line
 
 
 class Terminated(KeyboardInterrupt):
@@ -97,7 +97,7 @@ def _terminable() -> Iterator[None]:
         yield
         return
     is_over = False
-    told = threading.excepthook
+    usual_hook = threading.excepthook
 
     def stop(_signal: int, _frame: FrameType | None) -> None:
         nonlocal is_over
@@ -112,7 +112,7 @@ def _terminable() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
-        threading.excepthook = told
+        threading.excepthook = usual_hook
 
 
 def _end_workers() -> None:

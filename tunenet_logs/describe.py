@@ -10,13 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tunenet_logs.episode import Channel, Episode, EpisodeInfo
-from tunenet_logs.formats.opening import file_bytes
-from tunenet_logs.wording import one_line, short_name
+from tunenet_logs.formats.registry import file_bytes
+from tunenet_logs.text import one_line, short_name
 
 _MOST_ROWS = 100
 """Channels that are shown, and warnings; a log of thousands is no reason to scroll."""
 
 _COLUMNS = 60
+"""Characters of the timeline: with a short topic's name it fits a terminal of 80."""
+
 _GAP = 3.0
 """A gap is an interval of so many usual ones."""
 
@@ -40,7 +42,7 @@ def _shown(channels: Sequence[Channel]) -> Sequence[Channel]:
     """The channels of the table: of too many, those that can be used first."""
     if len(channels) <= _MOST_ROWS:
         return channels
-    return sorted(channels, key=lambda one: one.skipped is not None)[:_MOST_ROWS]
+    return sorted(channels, key=lambda channel: channel.skipped is not None)[:_MOST_ROWS]
 
 
 def _more(count: int, what: str) -> list[str]:
@@ -49,7 +51,7 @@ def _more(count: int, what: str) -> list[str]:
 
 def _table(channels: Sequence[Channel]) -> list[str]:
     rows = [("topic", "type", "messages", "rate", "duration", "gaps", "use")]
-    rows += [_channel_row(one) for one in channels]
+    rows += [_channel_row(channel) for channel in channels]
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     cells = ([cell.ljust(width) for cell, width in zip(row, widths, strict=True)] for row in rows)
     return ["  " + "  ".join(row).rstrip() for row in cells]
@@ -64,10 +66,11 @@ def gaps_s(stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
 
 
 def _span(channels: Sequence[Channel]) -> str:
-    heard = [one.log_ns for one in channels if one.messages]
-    if not heard:
+    stamps_ns = [channel.log_ns for channel in channels if channel.messages]
+    if not stamps_ns:
         return ""
-    start_ns, end_ns = min(int(one.min()) for one in heard), max(int(one.max()) for one in heard)
+    start_ns = min(int(of_channel.min()) for of_channel in stamps_ns)
+    end_ns = max(int(of_channel.max()) for of_channel in stamps_ns)
     text = f", {(end_ns - start_ns) * 1e-9:.2f} s"
     if start_ns >= _EARLIEST_DATE_NS:
         text += f" from {datetime.fromtimestamp(start_ns // 10**9, UTC):%Y-%m-%d %H:%M:%S} UTC"
@@ -101,19 +104,19 @@ def _channel_row(channel: Channel) -> tuple[str, ...]:
 
 def _timeline(channels: Sequence[Channel]) -> list[str]:
     """When each channel was heard: `#` as often as usual, `.` less, blank not at all."""
-    heard = [one for one in channels if one.messages > 1]
+    heard = [channel for channel in channels if channel.messages > 1]
     if not heard:
         return []
-    start = min(float(one.log_ns.min()) for one in heard)
-    span = max(float(one.log_ns.max()) for one in heard) - start
+    start = min(float(channel.log_ns.min()) for channel in heard)
+    span = max(float(channel.log_ns.max()) for channel in heard) - start
     if span <= 0:
         return []
-    width = max(len(short_name(one.topic)) for one in heard)
+    width = max(len(short_name(channel.topic)) for channel in heard)
     lines = [f"  timeline, {span * 1e-9 / _COLUMNS:.3g} s a column:"]
-    for one in heard:
-        places = (one.log_ns - start) / span * _COLUMNS
-        counts = np.bincount(np.minimum(places.astype(int), _COLUMNS - 1), minlength=_COLUMNS)
+    for channel in heard:
+        columns = (channel.log_ns - start) / span * _COLUMNS
+        counts = np.bincount(np.minimum(columns.astype(int), _COLUMNS - 1), minlength=_COLUMNS)
         usual = float(np.median(counts[counts > 0]))
         marks = ("#" if count >= usual / 2 else "." if count else " " for count in counts)
-        lines.append(f"  {short_name(one.topic).ljust(width)} |{''.join(marks)}|")
+        lines.append(f"  {short_name(channel.topic).ljust(width)} |{''.join(marks)}|")
     return lines

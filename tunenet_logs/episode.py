@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 FORMAT_VERSION = "1"
+"""Of the info record, in every log: a later one can tell by it what it reads."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,19 +41,20 @@ class Signal:
     unit: str
 
     def __post_init__(self) -> None:
-        stamps = _read_only(np.asarray(self.stamps_ns, dtype=np.int64))
-        values = _read_only(np.asarray(self.values, dtype=np.float64))
+        stamps = np.array(self.stamps_ns, dtype=np.int64, order="C")  # copies
+        values = np.array(self.values, dtype=np.float64, order="C")
         expected = (len(stamps), len(self.columns))
         if stamps.ndim != 1 or values.shape != expected:
             raise ValueError(f"{self.name}: values have shape {values.shape}, expected {expected}")
         if np.any(np.diff(stamps) <= 0):
             raise ValueError(f"{self.name}: stamps do not increase strictly")
-        object.__setattr__(self, "stamps_ns", stamps)
-        object.__setattr__(self, "values", values)
+        for name, array in (("stamps_ns", stamps), ("values", values)):
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
 
     @property
     def seconds(self) -> NDArray[np.float64]:
-        """Times since the first sample [s], shape (T,)."""
+        """Times since the first sample, shape (T,) [s]."""
         return (self.stamps_ns - self.stamps_ns[:1]).astype(np.float64) * 1e-9
 
     @property
@@ -147,8 +150,10 @@ class EpisodeInfo:
         groups: dict[str, dict[str, Any]] = {"rig": {}, "truth": {}, "counts": {}, "notes": {}}
         for key, text in record.items():
             group, _, name = key.partition(".")
-            if group in ("rig", "truth") and (number := _finite(text)) is not None:
-                groups[group][name] = number
+            if group in ("rig", "truth"):
+                with suppress(ValueError):
+                    if math.isfinite(number := float(text)):
+                        groups[group][name] = number
             elif group == "counts" and text.isascii() and text.isdecimal() and len(text) < 19:
                 groups[group][name] = int(text)
             elif group == "notes":
@@ -214,13 +219,19 @@ class Episode:
     @property
     def picture_topics(self) -> tuple[str, ...]:
         """Channels of images, in the order of the log."""
-        return tuple(one.topic for one in self.channels if one.pictures and one.skipped is None)
+        return tuple(
+            channel.topic
+            for channel in self.channels
+            if channel.pictures and channel.skipped is None
+        )
 
     def signals_of(self, topic: str) -> tuple[Signal, ...]:
         """The signals that came from a topic, or the one of that name."""
         if topic in self.signals:
             return (self.signals[topic],)
-        return tuple(one for name, one in self.signals.items() if name.startswith(f"{topic}."))
+        return tuple(
+            signal for name, signal in self.signals.items() if name.startswith(f"{topic}.")
+        )
 
     def frames(self, topic: str | None = None) -> Iterator[Frame]:
         """The images of a topic (the first if None) in the order of the log, one at a time."""
@@ -242,17 +253,3 @@ class Episode:
             for name, signal in self.signals.items()
         }
         return pd.concat(tables, axis=1) if tables else pd.DataFrame()
-
-
-def _read_only(array: NDArray[Any]) -> NDArray[Any]:
-    copy = array.copy()
-    copy.flags.writeable = False
-    return copy
-
-
-def _finite(text: str) -> float | None:
-    try:
-        number = float(text)
-    except ValueError:
-        return None
-    return number if math.isfinite(number) else None

@@ -18,12 +18,22 @@ _MOST_PIXELS_A_BYTE = 2000
 cut, or forged so that a few bytes cost a decoder seconds and hundreds of megabytes."""
 
 _FRAME_MARKERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+"""Of a JPEG: markers with the picture's size, of all ways of coding."""
+
 _BEFORE_FRAME = frozenset({0xC4, 0xCC, 0xDB, 0xDD, 0xFE, *range(0xE0, 0xF0)})
+"""Of a JPEG: markers that may precede it: tables, comments, what applications add."""
+
 _PNG_START = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
+"""Signature and the head of the first part, which must be that with the size."""
+
 _MOST_MARKERS = 1000
+"""Of a JPEG before its size; cameras write a few tens."""
+
 _ANIMATED = 0x02
+"""The bit of a WebP's flags; several pictures are none of a camera."""
 
 Format = Literal["jpeg", "png", "webp"]
+"""Compressed pictures that are read."""
 
 
 def image_format(data: bytes) -> Format | None:
@@ -147,3 +157,4 @@ def _webp_size(data: bytes) -> tuple[int, int] | None:
 
 
 _SIZES = {"jpeg": _jpeg_size, "png": _png_size, "webp": _webp_size}
+"""(width, height) [px] of a picture's header, by format; None where it makes no sense."""

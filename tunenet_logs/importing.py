@@ -19,9 +19,13 @@ from tunenet_logs.reader import read_episode
 from tunenet_logs.writer import EpisodeWriter
 
 JOINT_PARTS = ("position", "velocity", "effort")
+"""How the signals of a topic of joints end."""
+
 _POSITION_COLUMNS = ("x", "y", "z")
+"""The columns of a signal of positions."""
+
 _MOST_REASONS = 3
-"""So many losses are told where nothing was left to import."""
+"""Losses that are named where nothing was left to import."""
 
 Write = Callable[[EpisodeWriter], None]
 """Writes one message."""
@@ -68,17 +72,19 @@ def import_log(
     notes = {**episode.info.notes, "imported_from": path.name}
     source = episode.info.source or path.name
     info = replace(episode.info, source=source, notes=notes)
-    total = sum(one.messages for one in episode.channels if one.skipped is None)
+    total = sum(channel.messages for channel in episode.channels if channel.skipped is None)
     with (
         _whole_or_nothing(output, info, overwrite=overwrite) as writer,
         (progress or Progress(quiet=True)).bar(total, "importing", "message") as bar,
     ):
-        for _, _, write in heapq.merge(*streams, key=lambda one: one[:2]):
+        for _, _, write in heapq.merge(*streams, key=lambda message: message[:2]):
             write(writer)
             bar.update(1)
         if not writer.accepted:
             raise LogError(_why_nothing(path, episode))
-    left_out = [f"{one.topic}: {one.skipped}" for one in episode.channels if one.skipped]
+    left_out = [
+        f"{channel.topic}: {channel.skipped}" for channel in episode.channels if channel.skipped
+    ]
     return Imported(writer.written, tuple(left_out), tuple(topics.renamed), episode.warnings)
 
 
@@ -98,7 +104,7 @@ def _whole_or_nothing(
 
 def ros_topic(name: str) -> str:
     """A signal's name as a topic that ROS takes: "/tf.ball" is "/tf/ball"."""
-    letters = "".join(one if one.isalnum() or one in "_/" else "/" for one in name)
+    letters = "".join(letter if letter.isalnum() or letter in "_/" else "/" for letter in name)
     words = [word for word in letters.split("/") if word]
     return "/" + "/".join(words or ["unnamed"])
 
@@ -136,8 +142,8 @@ class _Topics:
 def _why_nothing(path: Path, episode: Episode) -> str:
     """That nothing can be imported, with what each channel is and what the reader said."""
     seen = ", ".join(map(_described, episode.channels)) or "none"
-    is_told = any(one.skipped for one in episode.channels)
-    said = "; ".join((episode.losses or (() if is_told else episode.warnings))[:_MOST_REASONS])
+    has_reason = any(channel.skipped for channel in episode.channels)
+    said = "; ".join((episode.losses or (() if has_reason else episode.warnings))[:_MOST_REASONS])
     why = f" that can be used ({said})" if said else ""
     return f"{path}: holds no positions, joints or pictures{why}; channels: {seen}"
 
@@ -168,9 +174,11 @@ def joint_topics(episode: Episode) -> dict[str, dict[str, Signal]]:
 
 
 def _poses(topic: str, signal: Signal) -> Iterator[tuple[int, str, Write]]:
-    for stamp_ns, place in zip(signal.stamps_ns.tolist(), signal.values, strict=True):
+    for stamp_ns, position_m in zip(signal.stamps_ns.tolist(), signal.values, strict=True):
 
-        def write(writer: EpisodeWriter, stamp: int = stamp_ns, at: np.ndarray = place) -> None:
+        def write(
+            writer: EpisodeWriter, stamp: int = stamp_ns, at: np.ndarray = position_m
+        ) -> None:
             writer.write_pose(topic, stamp, at)
 
         yield stamp_ns, topic, write
@@ -182,7 +190,7 @@ def _joint_states(topic: str, parts: dict[str, Signal]) -> Iterator[tuple[int, s
     for row, stamp_ns in enumerate(first.stamps_ns.tolist()):
 
         def write(writer: EpisodeWriter, stamp: int = stamp_ns, row: int = row) -> None:
-            values = [parts[one].values[row] if one in parts else () for one in JOINT_PARTS]
+            values = [parts[part].values[row] if part in parts else () for part in JOINT_PARTS]
             writer.write_joints(topic, stamp, first.columns, *values)
 
         yield stamp_ns, topic, write
@@ -197,7 +205,7 @@ def _picture_streams(
 
 def _pictures(episode: Episode, topic: str, topics: _Topics) -> Iterator[tuple[int, str, Write]]:
     """The pictures of one topic; bare and compressed ones are messages of two types."""
-    encodings = {one.topic: one.encoding for one in episode.channels}
+    encodings = {channel.topic: channel.encoding for channel in episode.channels}
     targets: dict[bool, str] = {}
     for frame in episode.frames(topic):
         kept = compressed(frame) if encodings[topic] == "video" else frame
@@ -205,7 +213,9 @@ def _pictures(episode: Episode, topic: str, topics: _Topics) -> Iterator[tuple[i
         if is_bare not in targets:
             targets[is_bare] = topics.claim(topic)
 
-        def write(writer: EpisodeWriter, target: str = targets[is_bare], one: Frame = kept) -> None:
-            writer.write_frame(target, one)
+        def write(
+            writer: EpisodeWriter, target: str = targets[is_bare], picture: Frame = kept
+        ) -> None:
+            writer.write_frame(target, picture)
 
         yield frame.stamp_ns, targets[is_bare], write

@@ -9,6 +9,7 @@ from tunenet_logs.errors import LogError
 from tunenet_logs.images import image_size
 
 _QUALITY = 95
+"""Of 100: a ball's edge stays sharp, at a fraction of the bare pixels' size."""
 
 
 def is_whole(data: bytes) -> bool:

@@ -17,6 +17,7 @@ from rosbags.typesys.store import Typestore
 
 from tunenet_logs.episode import Frame
 
+# Types that are written, as ROS 2 names them.
 POSE = "geometry_msgs/msg/PoseStamped"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 IMAGE = "sensor_msgs/msg/Image"

@@ -23,9 +23,13 @@ BOUNCE_SHOT = "bounce-shot"
 """The task where none is said."""
 
 MOST_ATTEMPTS = 1_000_000
+"""Of a ball at a task; what lies beyond is a number misread."""
+
 MOST_LETTERS = 1000
 """Of a text of an outcome."""
 _MOST_FILES = 1000
+"""Outcomes of one ball, attempt and millisecond; so many names are tried."""
+
 LAST_NS = 2**31 * 1_000_000_000 - 1
 """The last time that a ROS header holds: in the year 2038."""
 

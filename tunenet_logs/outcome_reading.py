@@ -8,19 +8,28 @@ from pathlib import Path
 from typing import NoReturn
 
 from tunenet_logs.errors import LogError
-from tunenet_logs.formats import opening
-from tunenet_logs.formats.base import DAMAGED, Container, Loss, RawChannel, RawMessage, described
-from tunenet_logs.formats.codec import Decode, MessageError, UnusableError
-from tunenet_logs.formats.codecs import decoder_for
-from tunenet_logs.formats.kinds import type_key
-from tunenet_logs.formats.mcap_places import MAGIC as MCAP_MAGIC
-from tunenet_logs.formats.mcap_places import channels_of_summary
+from tunenet_logs.formats.base import (
+    DAMAGED,
+    Container,
+    Decode,
+    Loss,
+    MessageError,
+    RawChannel,
+    RawMessage,
+    UnusableError,
+    described,
+)
+from tunenet_logs.formats.mcap_container import MAGIC as MCAP_MAGIC
+from tunenet_logs.formats.mcap_container import channels_of_summary
+from tunenet_logs.formats.message_types import type_key
+from tunenet_logs.formats.registry import decoder_for, is_folder, open_log
 from tunenet_logs.formats.tables.lines import SUFFIXES, is_table
 from tunenet_logs.messages import TASK_OUTCOME
 from tunenet_logs.outcome import MOST_ATTEMPTS, Outcome, from_message
 from tunenet_logs.outcome_table import is_outcome_table, read_outcome_table
 
 Warn = Callable[[str], None]
+"""Takes a warning, a sentence without its end."""
 
 
 def _refuse(text: str) -> NoReturn:
@@ -34,20 +43,21 @@ def read_outcomes(path: Path, warn: Warn = _refuse) -> tuple[Outcome, ...]:
         path: an MCAP file with messages of tunenet_msgs/msg/TaskOutcome, in CDR or JSON,
             one or many; a folder with such files, where others are passed over; or a CSV whose
             columns are named task, ball, attempt, success, ...
-        warn: told of what is damaged, and of outcomes that make no sense; they are left out.
+        warn: called with what is damaged, and with outcomes that make no sense; they are left
+            out.
 
     Raises:
         LogError: there is no such file, it holds no outcome, or a line of a table is wrong; and,
-            without `warn`, anything that it would be told.
+            without `warn`, anything that it would be called with.
     """
-    if opening.is_folder(path) and not (path / "metadata.yaml").exists():
+    if is_folder(path) and not (path / "metadata.yaml").exists():
         files = outcome_files(path, warn)
-        found = numbered(one for file in files for one in _of_file(file, warn))
+        found = numbered(outcome for file in files for outcome in _of_file(file, warn))
     else:
         found = list(_of_file(path, warn))
     if not found:
         raise LogError(f"{path}: holds no outcome; record one with tunenet-record --outcome")
-    return tuple(sorted(found, key=lambda one: (one.stamp_ns, one.attempt)))
+    return tuple(sorted(found, key=lambda outcome: (outcome.stamp_ns, outcome.attempt)))
 
 
 def numbered(outcomes: Iterable[Outcome]) -> list[Outcome]:
@@ -57,19 +67,23 @@ def numbered(outcomes: Iterable[Outcome]) -> list[Outcome]:
         LogError: there is none left.
     """
     every = list(outcomes)
-    taken = {(one.task, one.ball, one.attempt) for one in every if not one.is_counted}
+    taken = {
+        (outcome.task, outcome.ball, outcome.attempt) for outcome in every if not outcome.is_counted
+    }
     following: dict[tuple[str, str], int] = {}
-    for index, one in enumerate(every):
-        if not one.is_counted:
+    for index, outcome in enumerate(every):
+        if not outcome.is_counted:
             continue
-        kind = (one.task, one.ball)
-        number = max(one.attempt, following.get(kind, 1))
+        kind = (outcome.task, outcome.ball)
+        number = max(outcome.attempt, following.get(kind, 1))
         while (*kind, number) in taken:
             number += 1
         if number > MOST_ATTEMPTS:
-            raise LogError(f"{one.ball}: over {MOST_ATTEMPTS} attempts; write their numbers down")
+            raise LogError(
+                f"{outcome.ball}: over {MOST_ATTEMPTS} attempts; write their numbers down"
+            )
         following[kind] = number + 1
-        every[index] = replace(one, attempt=number)
+        every[index] = replace(outcome, attempt=number)
     return every
 
 
@@ -78,10 +92,10 @@ def outcome_files(folder: Path, warn: Warn = _refuse) -> list[Path]:
 
     Args:
         folder: those in it are not gone through.
-        warn: told of what cannot be read.
+        warn: called with what cannot be read.
 
     Raises:
-        LogError: without `warn`, anything that it would be told.
+        LogError: without `warn`, anything that it would be called with.
     """
     found: list[Path] = []
     for file in sorted(folder.iterdir()):
@@ -122,7 +136,7 @@ def _of_file(path: Path, warn: Warn) -> Iterator[Outcome]:
     if path.is_file() and is_table(path):
         yield from read_outcome_table(path)
         return
-    found = opening.opened(path)
+    found = open_log(path)
     if not callable(found):
         raise LogError(f"{path}: holds no outcome, but a recording; name it as one of drops")
     yield from _of_log(path, found, warn)

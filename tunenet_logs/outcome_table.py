@@ -14,7 +14,7 @@ from tunenet_logs.errors import LogError
 from tunenet_logs.formats.tables.lines import SEPARATORS, cells_of, lines_of
 from tunenet_logs.formats.tables.numbers import Numbers
 from tunenet_logs.outcome import BOUNCE_SHOT, Outcome
-from tunenet_logs.wording import listed, short_name
+from tunenet_logs.text import listed, short_name
 
 _NAMES = {
     "task": ("task",),
@@ -32,10 +32,13 @@ _NAMES = {
 }
 """The columns of a table, by what they become; any case."""
 _NEEDED = ("ball", "success")
+"""Columns without which a table holds no outcomes."""
+
 _WORDS = {
     **dict.fromkeys(("1", "true", "yes", "y", "success", "ok", "hit"), True),
     **dict.fromkeys(("0", "false", "no", "n", "failure", "fail", "miss"), False),
 }
+"""How people write that an attempt succeeded, in small letters."""
 
 
 def is_outcome_table(path: Path) -> bool:
@@ -46,7 +49,7 @@ def is_outcome_table(path: Path) -> bool:
         OSError: it cannot be read.
     """
     columns = next((_columns(line) for _, line in _lines(path)), None)
-    return columns is not None and all(name in columns.places for name in _NEEDED)
+    return columns is not None and all(name in columns.indices for name in _NEEDED)
 
 
 def read_outcome_table(path: Path) -> tuple[Outcome, ...]:
@@ -83,9 +86,9 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
 
 @dataclass(frozen=True)
 class _Columns:
-    """Where what is, and what the cells are apart by."""
+    """Where each field is, and what separates the cells."""
 
-    places: Mapping[str, int]
+    indices: Mapping[str, int]
     separator: str | None
     names: tuple[str, ...]
 
@@ -93,25 +96,25 @@ class _Columns:
 def _columns(line: str) -> _Columns:
     """What a header names, by the separator by which it names most."""
     read = [_named(line, separator) for separator in SEPARATORS if separator]
-    return max(read, key=lambda one: len(one.places))
+    return max(read, key=lambda one: len(one.indices))
 
 
 def _named(line: str, separator: str) -> _Columns:
     names = tuple(one.strip() for one in cells_of(line, separator))
     lowered = [one.lower().replace(" ", "_") for one in names]
-    places = {
+    indices = {
         field: lowered.index(name)
         for field, known in _NAMES.items()
         for name in known[::-1]
         if name in lowered
     }
-    return _Columns(places, separator, names)
+    return _Columns(indices, separator, names)
 
 
 def _checked(path: Path, header: str) -> _Columns:
     columns = _columns(header)
     for name in _NEEDED:
-        if name not in columns.places:
+        if name not in columns.indices:
             there = listed(short_name(one) for one in columns.names)
             raise LogError(
                 f"{path}: has no column {name!r} (there are: {there}); name the columns in the "
@@ -137,8 +140,8 @@ class _Table:
                 f"{len(self._columns.names)} names; put a text with a separator into quotes"
             )
         texts = {
-            field: cells[place] if place < len(cells) else ""
-            for field, place in self._columns.places.items()
+            field: cells[index] if index < len(cells) else ""
+            for field, index in self._columns.indices.items()
         }
         values = {field: self._value(number, field, text) for field, text in texts.items()}
         values["task"] = values.get("task") or BOUNCE_SHOT
@@ -189,10 +192,10 @@ class _Table:
             self._refuse(number, "stamp_ns", text, "write it as 2026-11-22 14:30, or nothing")
 
     def _refuse(self, number: int, field: str, text: str, remedy: str, why: str = "") -> NoReturn:
-        name = self._columns.names[self._columns.places[field]]
-        told = why or "cannot be read"
+        name = self._columns.names[self._columns.indices[field]]
+        reason = why or "cannot be read"
         raise LogError(
-            f"{self._path}: line {number}, column {name!r}: {short_name(text)!r} {told}; {remedy}"
+            f"{self._path}: line {number}, column {name!r}: {short_name(text)!r} {reason}; {remedy}"
         )
 
 

@@ -10,24 +10,26 @@ from numpy.typing import NDArray
 from tunenet_logs.errors import LogError
 
 _DEPTH = ("32F", "64F", "16S", "32S", "8S")
+"""How encodings of numbers begin that are no brightness."""
 
 
 @dataclass(frozen=True)
-class Layout:
+class PixelFormat:
     """How the pixels of an encoding lie.
 
     Attributes:
         channels: samples of a pixel in a row.
         conversion: OpenCV's name of the way to RGB; None where the pixels are RGB.
         sample_bytes: 2 for samples of 16 bits, of which the upper 8 are shown.
-        shares: the pixels across and down that share a colour; the picture is a multiple of it.
+        color_block_px: the pixels across and down that share a colour; the picture's size is a
+            multiple of it.
         is_planar: whether the colours follow the brightness, in half as many rows again.
     """
 
     channels: int
     conversion: str | None = None
     sample_bytes: int = 1
-    shares: tuple[int, int] = (1, 1)
+    color_block_px: tuple[int, int] = (1, 1)
     is_planar: bool = False
 
     def row_bytes(self, width: int) -> int:
@@ -39,45 +41,47 @@ class Layout:
         return height * 3 // 2 if self.is_planar else height
 
 
-_LAYOUTS = {
-    "rgb8": Layout(3),
-    "bgr8": Layout(3, "COLOR_BGR2RGB"),
-    "8UC3": Layout(3, "COLOR_BGR2RGB"),  # unnamed channels are OpenCV's
-    "rgba8": Layout(4, "COLOR_RGBA2RGB"),
-    "bgra8": Layout(4, "COLOR_BGRA2RGB"),
-    "8UC4": Layout(4, "COLOR_BGRA2RGB"),
-    "mono8": Layout(1, "COLOR_GRAY2RGB"),
-    "8UC1": Layout(1, "COLOR_GRAY2RGB"),
-    "mono16": Layout(1, "COLOR_GRAY2RGB", sample_bytes=2),
-    "16UC1": Layout(1, "COLOR_GRAY2RGB", sample_bytes=2),
-    "yuv422": Layout(2, "COLOR_YUV2RGB_UYVY", shares=(2, 1)),
-    "uyvy": Layout(2, "COLOR_YUV2RGB_UYVY", shares=(2, 1)),
-    "yuv422_yuy2": Layout(2, "COLOR_YUV2RGB_YUY2", shares=(2, 1)),
-    "yuyv": Layout(2, "COLOR_YUV2RGB_YUY2", shares=(2, 1)),
-    "nv12": Layout(1, "COLOR_YUV2RGB_NV12", shares=(2, 2), is_planar=True),
-    "nv21": Layout(1, "COLOR_YUV2RGB_NV21", shares=(2, 2), is_planar=True),
+_FORMATS = {
+    "rgb8": PixelFormat(3),
+    "bgr8": PixelFormat(3, "COLOR_BGR2RGB"),
+    "8UC3": PixelFormat(3, "COLOR_BGR2RGB"),  # unnamed channels are OpenCV's
+    "rgba8": PixelFormat(4, "COLOR_RGBA2RGB"),
+    "bgra8": PixelFormat(4, "COLOR_BGRA2RGB"),
+    "8UC4": PixelFormat(4, "COLOR_BGRA2RGB"),
+    "mono8": PixelFormat(1, "COLOR_GRAY2RGB"),
+    "8UC1": PixelFormat(1, "COLOR_GRAY2RGB"),
+    "mono16": PixelFormat(1, "COLOR_GRAY2RGB", sample_bytes=2),
+    "16UC1": PixelFormat(1, "COLOR_GRAY2RGB", sample_bytes=2),
+    "yuv422": PixelFormat(2, "COLOR_YUV2RGB_UYVY", color_block_px=(2, 1)),
+    "uyvy": PixelFormat(2, "COLOR_YUV2RGB_UYVY", color_block_px=(2, 1)),
+    "yuv422_yuy2": PixelFormat(2, "COLOR_YUV2RGB_YUY2", color_block_px=(2, 1)),
+    "yuyv": PixelFormat(2, "COLOR_YUV2RGB_YUY2", color_block_px=(2, 1)),
+    "nv12": PixelFormat(1, "COLOR_YUV2RGB_NV12", color_block_px=(2, 2), is_planar=True),
+    "nv21": PixelFormat(1, "COLOR_YUV2RGB_NV21", color_block_px=(2, 2), is_planar=True),
 }
+"""By the names of sensor_msgs/Image."""
+
 # ROS names a Bayer pattern by its first row and then its second. OpenCV's old names of two letters
 # begin in the second row; those of four letters mean what ROS means.
 for _pattern in ("RGGB", "BGGR", "GBRG", "GRBG"):
     for _bits in (8, 16):
-        _LAYOUTS[f"bayer_{_pattern.lower()}{_bits}"] = Layout(
+        _FORMATS[f"bayer_{_pattern.lower()}{_bits}"] = PixelFormat(
             1, f"COLOR_Bayer{_pattern}2RGB", sample_bytes=_bits // 8
         )
 
 
-def layout_of(encoding: str) -> Layout:
+def pixel_format_of(encoding: str) -> PixelFormat:
     """How the pixels of an encoding lie.
 
     Raises:
         LogError: they are not read; the message says why.
     """
-    found = _LAYOUTS.get(encoding)
+    found = _FORMATS.get(encoding)
     if found is None:
         name = encoding[:24]
         if name.startswith(_DEPTH):
             raise LogError(f"pictures of encoding {name!r} are distances, not what a camera sees")
-        raise LogError(f"pictures of encoding {name!r} are not read (only {', '.join(_LAYOUTS)})")
+        raise LogError(f"pictures of encoding {name!r} are not read (only {', '.join(_FORMATS)})")
     return found
 
 
@@ -91,21 +95,21 @@ def decode_pixels(data: bytes, encoding: str, size: tuple[int, int]) -> NDArray[
     Raises:
         LogError: of an encoding that is not read, or of another length than its size needs.
     """
-    layout = layout_of(encoding)
+    form = pixel_format_of(encoding)
     width, height = size
-    rows, across = layout.rows(height), width * layout.channels
-    if len(data) != rows * across * layout.sample_bytes or any(
-        one <= 0 or one % share for one, share in zip(size, layout.shares, strict=True)
+    rows, across = form.rows(height), width * form.channels
+    if len(data) != rows * across * form.sample_bytes or any(
+        one <= 0 or one % share for one, share in zip(size, form.color_block_px, strict=True)
     ):
         raise LogError(f"{len(data)} bytes are no {encoding} picture of {width} x {height} px")
-    if layout.sample_bytes == 2:
+    if form.sample_bytes == 2:
         samples = (np.frombuffer(data, "<u2") >> 8).astype(np.uint8)
     else:
         samples = np.frombuffer(data, np.uint8)
-    shape = (rows, width) if layout.channels == 1 else (rows, width, layout.channels)
-    if layout.conversion is None:
+    shape = (rows, width) if form.channels == 1 else (rows, width, form.channels)
+    if form.conversion is None:
         return samples.reshape(shape)
     import cv2
 
-    conversion = getattr(cv2, layout.conversion)
+    conversion = getattr(cv2, form.conversion)
     return np.asarray(cv2.cvtColor(samples.reshape(shape), conversion), np.uint8)

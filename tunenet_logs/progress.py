@@ -7,14 +7,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Protocol
 
-from tunenet_logs.wording import short_name
+from tunenet_logs.text import short_name
 
 
 class Bar(Protocol):
     """What work in progress reports to."""
 
     def update(self, done: int, /) -> object:
-        """So many units more are done."""
+        """`done` more units are done."""
         ...
 
     def set_postfix_str(self, text: str, /, *, refresh: bool) -> object:

@@ -3,32 +3,56 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence, Set
+from array import array
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
+from typing import Any
 
-from tunenet_logs.collect import JointRows, PictureStamps, PositionRows, named
-from tunenet_logs.episode import Episode, EpisodeInfo, Frame, Signal
+import numpy as np
+
+from tunenet_logs.collect import JointRows, PictureStamps, PositionRows, with_joint_names
+from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame, Signal
 from tunenet_logs.errors import LogError
-from tunenet_logs.formats import opening
+from tunenet_logs.formats import registry
 from tunenet_logs.formats.base import (
+    DAMAGED,
+    BeyondLimitError,
     Container,
+    Decode,
     Loss,
+    MessageError,
     RawChannel,
     RawMessage,
     RawMetadata,
+    UnusableError,
+    described,
 )
-from tunenet_logs.formats.pictures import frames_of
-from tunenet_logs.messages import INFO_RECORD
-from tunenet_logs.topic_contents import TopicContents
+from tunenet_logs.formats.message_types import (
+    JointType,
+    PictureType,
+    PositionType,
+    message_type_of,
+    type_key,
+)
+from tunenet_logs.formats.pictures import checked_pictures, frames_of
+from tunenet_logs.messages import INFO_RECORD, TASK_OUTCOME
 
 _FREE_PIXELS = 100_000_000
+"""Of a whole log, whatever its size: some seconds of decoding."""
+
 _MOST_PIXELS_A_BYTE = 20_000
 """Of a whole log; ten times what one picture may have, as a video repeats nothing that rests."""
 
 _MOST_LOSSES = 5
 """Places of damage that are named one by one among the warnings."""
+
+_LAST_NS = 2**63 - 1
+"""The last stamp that fits int64: in the year 2262."""
+
+_ROWS = {PositionType: PositionRows, JointType: JointRows, PictureType: PictureStamps}
+"""What gathers the messages of a type."""
 
 
 def read_episode(path: Path) -> Episode:
@@ -39,111 +63,188 @@ def read_episode(path: Path) -> Episode:
     Raises:
         LogError: `path` does not exist, is not a log, or holds nothing readable at all.
     """
-    found = opening.opened(path)
-    if isinstance(found, Episode):
-        return found
+    container = registry.open_log(path)
+    if isinstance(container, Episode):
+        return container
     losses: list[Loss] = []
-    gathered = _Gathered()
+    info: Mapping[str, str] = {}
+    by_channel: dict[RawChannel, _TopicContents] = {}
+    topics: dict[tuple[str, ...], _TopicContents] = {}
     try:
-        for record in found(path, losses):
+        for record in container(path, losses):
             if isinstance(record, RawMessage):
-                gathered.add(record)
+                by_channel[record.channel].add(record.log_ns, record.data)
             elif isinstance(record, RawChannel):
-                gathered.describe(record)
+                # One of the same topic, type and encoding as another goes on with it.
+                key = (record.topic, record.type_name, record.encoding, record.schema_encoding)
+                topic = topics.get(key)
+                if topic is None or topic.channel.schema != record.schema:
+                    topic = topics[key] = _TopicContents(record)
+                by_channel[record] = topic
             elif isinstance(record, RawMetadata) and record.name == INFO_RECORD:
-                gathered.info = dict(record.values)
+                info = dict(record.values)
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror})") from error
-    if gathered.is_empty and not all(one.harmless for one in losses):
-        why = "; ".join(str(one) for one in losses[:3])
+    if not topics and not info and not all(loss.harmless for loss in losses):
+        why = "; ".join(str(loss) for loss in losses[:3])
         raise LogError(f"{path}: nothing in it can be read: {why}")
-    return gathered.episode(path, found, losses)
+    contents = list(dict.fromkeys(by_channel.values()))
+    return _episode(path, container, losses, EpisodeInfo.from_strings(info), contents)
 
 
-class _Gathered:
-    """What a log has delivered so far."""
-
-    def __init__(self) -> None:
-        self.info: Mapping[str, str] = {}
-        self._by_channel: dict[RawChannel, TopicContents] = {}
-        self._topics: dict[tuple[str, ...], TopicContents] = {}
-
-    @property
-    def is_empty(self) -> bool:
-        """Whether nothing came, not even a description."""
-        return not self._topics and not self.info
-
-    def describe(self, channel: RawChannel) -> None:
-        """A channel; one of the same topic, type and encoding as another goes on with it."""
-        key = (channel.topic, channel.type_name, channel.encoding, channel.schema_encoding)
-        topic = self._topics.get(key)
-        if topic is None or topic.channel.schema != channel.schema:
-            topic = self._topics[key] = TopicContents(channel)
-        self._by_channel[channel] = topic
-
-    def add(self, message: RawMessage) -> None:
-        self._by_channel[message.channel].add(message.log_ns, message.data)
-
-    def episode(self, path: Path, container: Container, losses: Sequence[Loss]) -> Episode:
-        topics = list(dict.fromkeys(self._by_channel.values()))
-        damaged = [text for one in topics for text in one.losses()]
-        remarks = [text for one in topics for text in one.remarks()]
-        signals, seconds, notes = _signals(topics)
-        by_log = _untold(topics, notes)
-        info = EpisodeInfo.from_strings(self.info)
-        joints = tuple(filter(None, info.notes.get("joint_names", "").split(",")))
-        return Episode(
-            info=info,
-            signals={name: named(one, joints) for name, one in signals.items()},
-            channels=tuple(one.summary(is_second=one in seconds) for one in topics),
-            warnings=(*_in_words(losses), *damaged, *remarks, *notes),
-            losses=(*(str(one) for one in losses if not one.harmless), *damaged),
-            tainted=next((str(one) for one in losses if one.taints), ""),
-            open_frames=partial(_frames, path, container, by_log),
-        )
-
-
-def _in_words(losses: Sequence[Loss]) -> list[str]:
-    words = [str(one) for one in losses if one.harmless]
-    losses = [one for one in losses if not one.harmless]
-    words += [str(one) for one in losses[:_MOST_LOSSES]]
-    if len(losses) > _MOST_LOSSES:
-        rest = losses[_MOST_LOSSES:]
-        lost = sum(one.size for one in rest)
-        words.append(f"{len(rest)} more places are damaged ({lost} bytes); see tunenet-logs check")
-    return words
+def _episode(
+    path: Path,
+    container: Container,
+    losses: Sequence[Loss],
+    info: EpisodeInfo,
+    topics: Sequence[_TopicContents],
+) -> Episode:
+    """All that a log has delivered."""
+    left_out = [topic.left_out() for topic in topics]
+    damaged = [text for text, _ in left_out if text]
+    refused = [text for _, text in left_out if text]
+    signals, seconds, notes = _signals(topics)
+    by_log: set[str] = set()  # topics of pictures whose header stamps do not tell the time
+    for topic in topics:
+        if isinstance(topic.rows, PictureStamps):
+            is_header, reasons = topic.rows.trusts_header()
+            notes += reasons
+            if not is_header:
+                by_log.add(topic.channel.topic)
+    lost = [loss for loss in losses if not loss.harmless]
+    words = [str(loss) for loss in losses if loss.harmless]
+    words += [str(loss) for loss in lost[:_MOST_LOSSES]]
+    if rest := lost[_MOST_LOSSES:]:
+        size = sum(loss.size for loss in rest)
+        words.append(f"{len(rest)} more places are damaged ({size} bytes); see tunenet-logs check")
+    joints = tuple(filter(None, info.notes.get("joint_names", "").split(",")))
+    return Episode(
+        info=info,
+        signals={name: with_joint_names(signal, joints) for name, signal in signals.items()},
+        channels=tuple(topic.summary(is_second=topic in seconds) for topic in topics),
+        warnings=(*words, *damaged, *refused, *notes),
+        losses=(*map(str, lost), *damaged),
+        tainted=next((str(loss) for loss in losses if loss.taints), ""),
+        open_frames=partial(_frames, path, container, by_log),
+    )
 
 
 def _signals(
-    topics: Sequence[TopicContents],
-) -> tuple[dict[str, Signal], set[TopicContents], list[str]]:
+    topics: Sequence[_TopicContents],
+) -> tuple[dict[str, Signal], set[_TopicContents], list[str]]:
     """The signals by name, the topics whose names were taken already, and what is of note."""
     signals: dict[str, Signal] = {}
-    seconds: set[TopicContents] = set()
+    seconds: set[_TopicContents] = set()
     notes: list[str] = []
-    for one in topics:
-        if not isinstance(one.rows, PositionRows | JointRows):
+    for topic in topics:
+        if not isinstance(topic.rows, PositionRows | JointRows):
             continue
-        found, repairs = one.rows.signals()
+        found, repairs = topic.rows.signals()
         if any(signal.name in signals for signal in found):
-            seconds.add(one)
-            notes.append(f"{one.channel.topic}: a second channel of that name was left out")
+            seconds.add(topic)
+            notes.append(f"{topic.channel.topic}: a second channel of that name was left out")
             continue
         notes += repairs
         signals |= {signal.name: signal for signal in found}
     return signals, seconds, notes
 
 
-def _untold(topics: Sequence[TopicContents], notes: list[str]) -> set[str]:
-    """Topics of pictures whose header stamps do not tell the time; reasons go into `notes`."""
-    untold: set[str] = set()
-    for one in topics:
-        if isinstance(one.rows, PictureStamps):
-            is_header, reasons = one.rows.trusts_header()
-            notes += reasons
-            if not is_header:
-                untold.add(one.channel.topic)
-    return untold
+class _TopicContents:
+    """The messages of one topic, in one type: counted, decoded, gathered.
+
+    Attributes:
+        rows: what they hold, as far as it was read; None where the type or encoding is not.
+        damaged: messages that cannot be read.
+        refused: those that may be whole, but of a kind or size that is not read.
+    """
+
+    def __init__(self, channel: RawChannel) -> None:
+        self.channel = channel
+        self.rows: PositionRows | JointRows | PictureStamps | None = None
+        self.damaged = 0
+        self.refused = 0
+        self._log_ns = array("q")
+        self._unusable: str | None = None
+        self._why = ""  # the first message that was left out was
+        self._used = 0
+        self._type = message_type_of(channel)
+        self._decode: Decode | None = None
+        try:
+            if self._type is None and channel.encoding in registry.DECODERS:
+                is_outcome = type_key(channel.type_name) == TASK_OUTCOME
+                use = "for tunenet-review" if is_outcome else "its type is not one that a task uses"
+                raise UnusableError(use)
+            self._decode = registry.decoder_for(channel)
+        except UnusableError as reason:
+            self._unusable = str(reason)
+            return
+        assert self._type is not None
+        rows = self.rows = _ROWS[type(self._type)](channel.topic)
+        self._read: Callable[[Any], Any] = self._type.read
+        if isinstance(self._type, PictureType):
+            self._read = checked_pictures(self._type)
+        self._add: Callable[[int, Any], None] = rows.add
+
+    def add(self, log_ns: int, data: bytes | memoryview) -> None:
+        """One message, received at `log_ns` [ns]."""
+        if not 0 <= log_ns <= _LAST_NS:
+            self.damaged += 1
+            self._why = self._why or "its time lies beyond the year 2262"
+            return
+        self._log_ns.append(log_ns)
+        if self._decode is None:
+            return
+        try:
+            self._add(log_ns, self._read(self._decode(data)))
+            self._used += 1
+        except (UnusableError, BeyondLimitError) as reason:
+            self.refused += 1
+            self._why = self._why or str(reason)
+        except (MessageError, *DAMAGED) as error:
+            self.damaged += 1
+            self._why = self._why or described(error)
+
+    @property
+    def _first(self) -> str:
+        return f" (the first: {self._why})" if self._why else ""
+
+    def left_out(self) -> tuple[str, str]:
+        """In words: what is damaged, and what is not read though it may be whole; or "".
+
+        The second is said here only where the rest is read, else by `summary`.
+        """
+        damaged = refused = ""
+        if self.damaged:
+            damaged = f"{self.channel.topic}: {self.damaged} damaged messages were left out"
+            damaged += self._first
+        if self.refused and self._used:
+            refused = f"{self.channel.topic}: {self.refused} messages were left out{self._first}"
+        return damaged, refused
+
+    def summary(self, *, is_second: bool) -> Channel:
+        """The channel.
+
+        Args:
+            is_second: whether another channel of that topic is used instead.
+        """
+        skipped = self._unusable
+        if skipped is None and is_second:
+            skipped = "another channel of that name is used"
+        elif skipped is None and not self._used:
+            if not self._log_ns and not self.damaged:
+                skipped = "it holds no message"
+            else:
+                skipped = (
+                    self._why if self.refused else f"all its messages are damaged{self._first}"
+                )
+        return Channel(
+            topic=self.channel.topic,
+            type_name=self.channel.type_name,
+            encoding=self.channel.encoding,
+            log_ns=np.array(self._log_ns, np.int64),
+            skipped=skipped,
+            pictures=isinstance(self._type, PictureType),
+        )
 
 
 def _frames(path: Path, container: Container, by_log: Set[str], topic: str) -> Iterator[Frame]:
@@ -159,8 +260,8 @@ def _frames(path: Path, container: Container, by_log: Set[str], topic: str) -> I
         LogError: a small log claims so many pixels that decoding them would take minutes.
     """
     records = container(path, [], (topic,))
-    most_pixels = _FREE_PIXELS + _MOST_PIXELS_A_BYTE * opening.file_bytes(path)
-    for frame in frames_of(records, topic, is_told=topic not in by_log):
+    most_pixels = _FREE_PIXELS + _MOST_PIXELS_A_BYTE * registry.file_bytes(path)
+    for frame in frames_of(records, topic, trusts_header=topic not in by_log):
         with suppress(LogError):  # one that is damaged costs nothing
             most_pixels -= math.prod(frame.size_px())
         if most_pixels < 0:

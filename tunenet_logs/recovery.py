@@ -22,15 +22,22 @@ from tunenet_logs.formats.base import (
     RawMetadata,
     Record,
 )
-from tunenet_logs.formats.opening import opened
+from tunenet_logs.formats.registry import open_log
 from tunenet_logs.formats.ros import ros_name
 from tunenet_logs.messages import INFO_RECORD
 from tunenet_logs.output.log_place import not_writable
 
 RECOVERY_RECORD = "tunenet/recovery"
+"""The metadata record of a copy that says what was lost."""
+
 _PARTIAL = ".partial"
+"""Behind the copy's name while it is written."""
+
 _LAST_STAMP = 2**64
+"""The first stamp [ns] that MCAP cannot hold."""
+
 _PROFILES = {"cdr": "ros2", "ros1": "ros1"}
+"""Of an MCAP file, by the encoding of its messages."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +63,7 @@ def recover(path: Path, output: Path, *, overwrite: bool = False) -> Recovered:
         LogError: nothing of the log can be read, or the output cannot be written.
     """
     _check_output(path, output, overwrite=overwrite)
-    container = opened(path)
+    container = open_log(path)
     if isinstance(container, Episode):
         raise LogError(
             f"{path}: holds no messages to recover; bring it in with tunenet-logs import"

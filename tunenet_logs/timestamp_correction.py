@@ -1,8 +1,9 @@
-"""Samples that were stamped when they arrived, and were held up on their way.
+"""Which of a log's clocks to believe, samples in order, and stamps of late samples corrected.
 
-A sensor with an even clock gives no burst. So a pause, and after it as many samples as it would
-have held, one close upon the other, are what a stalled network or a busy machine makes of an even
-clock: no sample was lost, and each was taken where that clock says.
+Late samples are those that were stamped when they arrived, and were held up on their way. A sensor
+with an even clock gives no burst. So a pause, and after it as many samples as it would have held,
+one close upon the other, are what a stalled network or a busy machine makes of an even clock: no
+sample was lost, and each was taken where that clock says.
 """
 
 from __future__ import annotations
@@ -12,23 +13,97 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-_PAUSE = 1.5
-_CLOSE = 0.9
-_ON_TIME = 0.3
-"""All in periods: what is a pause, how close samples follow in a burst, and how late is not."""
+_MAX_REVERSED_FRACTION = 0.1
+"""Of a channel's samples: a few that overtake each other on a network are sorted; from a tenth on
+the header's clock is set back again and again."""
 
-_PATIENCE = 3
+_MIN_DISTINCT_FRACTION = 0.1
+"""Of a channel's stamps; below it, its sender hardly ever sets the header's stamp."""
+
+_PAUSE_PERIODS = 1.5
+"""A longer step is a pause: half-way between the usual step and that over one missing sample."""
+
+_CLOSE_PERIODS = 0.9
+"""A shorter step belongs to a burst that catches up."""
+
+_PUNCTUAL_PERIODS = 0.3
+"""A sample is no later than that where the burst has made up for the pause."""
+
+_PATIENCE_SAMPLES = 3
 """Samples in a row that are not close, after which what follows a pause is no burst."""
 
-_FEWEST = 10
+_MIN_SAMPLES = 10
+"""Fewer do not tell an even clock's period."""
 
 
-class Arrivals(NamedTuple):
-    """Stamps as they were recorded, and of an even clock.
+def trusts_header(header_ns: NDArray[np.int64]) -> tuple[bool, list[str]]:
+    """Whether a channel's header stamps tell the time; if not for a reason to hear of, that too.
+
+    Args:
+        header_ns: acquisition stamps of T messages in file order [ns], shape (T,); 0 where not set.
+    """
+    if not len(header_ns):
+        return True, []
+    if np.count_nonzero(header_ns == 0) > 1:
+        return False, []
+    if len(np.unique(header_ns)) <= _MIN_DISTINCT_FRACTION * len(header_ns):
+        return False, ["header stamps hardly change, so the log's own times are used"]
+    if np.count_nonzero(np.diff(header_ns) < 0) > _MAX_REVERSED_FRACTION * len(header_ns):
+        return False, ["header stamps run backwards, so the log's own times are used"]
+    return True, []
+
+
+def order_samples(
+    header_ns: NDArray[np.int64], log_ns: NDArray[np.int64]
+) -> tuple[NDArray[np.intp], NDArray[np.int64], list[str]]:
+    """Choose stamps and sort.
+
+    `header.stamp` is used where it is set and, but for a few samples, monotonic; else `log_time`.
+
+    Args:
+        header_ns: acquisition stamps of T messages in file order [ns], shape (T,); 0 where not set.
+        log_ns: receipt stamps of the same messages [ns], shape (T,).
+
+    Returns:
+        Indices of the K samples to keep, shape (K,), their stamps [ns], shape (K,), strictly
+        increasing, and what was repaired.
+    """
+    is_header, notes = trusts_header(header_ns)
+    order, ordered, repairs = sorted_stamps(header_ns if is_header else log_ns)
+    return order, ordered, notes + repairs
+
+
+def sorted_stamps(
+    stamps: NDArray[np.int64],
+) -> tuple[NDArray[np.intp], NDArray[np.int64], list[str]]:
+    """Sort; of samples with one stamp the first is kept.
+
+    Args:
+        stamps: of T samples [ns], shape (T,).
+
+    Returns:
+        Indices of the K samples to keep, shape (K,), their stamps [ns], shape (K,), strictly
+        increasing, and what was repaired.
+    """
+    notes: list[str] = []
+    order = np.argsort(stamps, kind="stable")
+    reversals = int(np.count_nonzero(np.diff(stamps) < 0))
+    ordered = stamps[order]
+    fresh = np.diff(ordered, prepend=ordered[:1] - 1) > 0
+    duplicates = int(np.count_nonzero(~fresh))
+    if reversals:
+        notes.append(f"{reversals} samples out of order were sorted")
+    if duplicates:
+        notes.append(f"{duplicates} samples with a stamp already seen were left out")
+    return order[fresh], ordered[fresh], notes
+
+
+class CorrectedStamps(NamedTuple):
+    """Stamps as they were recorded, and with those of late samples corrected.
 
     Attributes:
-        recorded_ns: shape (T,).
-        stamps_ns: when the samples were taken, shape (T,); never after `recorded_ns`.
+        recorded_ns: shape (T,) [ns].
+        stamps_ns: when the samples were taken, shape (T,) [ns]; never after `recorded_ns`.
     """
 
     recorded_ns: NDArray[np.int64]
@@ -36,14 +111,18 @@ class Arrivals(NamedTuple):
 
     @property
     def taken_ns(self) -> dict[int, int]:
-        """When a sample was taken, by its recorded stamp; only of those that came late."""
+        """When a sample was taken [ns], by its recorded stamp [ns]; late samples only."""
         late = self.recorded_ns != self.stamps_ns
         return dict(
             zip(self.recorded_ns[late].tolist(), self.stamps_ns[late].tolist(), strict=True)
         )
 
-    def words(self, samples: str) -> list[str]:
-        """What to tell a user whose samples came late; nothing if none did."""
+    def warnings(self, samples: str) -> list[str]:
+        """What a user should know whose samples came late; empty if none did.
+
+        Args:
+            samples: what they are called: "pictures", "samples".
+        """
         count = len(self.taken_ns)
         if not count:
             return []
@@ -54,39 +133,45 @@ class Arrivals(NamedTuple):
         ]
 
 
-def on_time(stamps_ns: NDArray[np.int64]) -> Arrivals:
-    """Where samples that arrived in a burst after a pause belong.
+def correct_late_stamps(stamps_ns: NDArray[np.int64]) -> CorrectedStamps:
+    """Puts samples that arrived in a burst after a pause back on the even clock before the pause.
 
-    A burst that does not make up for its pause is left as it is: then samples were lost, and
-    nothing tells which.
+    The clock's period is the median step. A burst that does not make up for its pause is left as
+    it is: then samples were lost, and nothing tells which.
 
     Args:
-        stamps_ns: not decreasing, shape (T,).
+        stamps_ns: not decreasing, shape (T,) [ns].
     """
-    if len(stamps_ns) < _FEWEST:
-        return Arrivals(stamps_ns, stamps_ns)
+    if len(stamps_ns) < _MIN_SAMPLES:
+        return CorrectedStamps(stamps_ns, stamps_ns)
     steps = np.diff(stamps_ns).astype(np.float64)
     period = float(np.median(steps))
-    mended, after = stamps_ns.copy(), 0
-    for pause in np.flatnonzero(steps > _PAUSE * period):
+    corrected, after = stamps_ns.copy(), 0
+    for pause in np.flatnonzero(steps > _PAUSE_PERIODS * period):
         end = _caught_up(steps, int(pause), period)
         if end is None or pause < after:
             continue
         inside = slice(pause + 1, end)
         even = stamps_ns[pause] + np.round(period * np.arange(1, end - pause)).astype(np.int64)
-        mended[inside] = np.minimum(even, stamps_ns[inside])
+        corrected[inside] = np.minimum(even, stamps_ns[inside])
         after = end
-    return Arrivals(stamps_ns, mended)
+    return CorrectedStamps(stamps_ns, corrected)
 
 
 def _caught_up(steps: NDArray[np.float64], pause: int, period: float) -> int | None:
-    """The first sample after a pause that is where an even clock has it; None if none is."""
+    """The index behind the first step after a pause that ends where an even clock has it, or None.
+
+    Args:
+        steps: between T samples, shape (T - 1,) [ns].
+        pause: index of the long step.
+        period: the usual step [ns].
+    """
     lateness, slow = steps[pause] - period, 0
     for at in range(pause + 1, len(steps)):
-        slow = 0 if steps[at] < _CLOSE * period else slow + 1
+        slow = 0 if steps[at] < _CLOSE_PERIODS * period else slow + 1
         lateness += steps[at] - period
-        if lateness <= _ON_TIME * period:
+        if lateness <= _PUNCTUAL_PERIODS * period:
             return at + 1
-        if slow == _PATIENCE:
+        if slow == _PATIENCE_SAMPLES:
             return None
     return None

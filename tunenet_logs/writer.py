@@ -22,7 +22,10 @@ from tunenet_logs.output.mcap_output import McapOutput
 from tunenet_logs.output.whole_file import WholeFile
 
 _CHUNK_SECONDS = 0.1
+"""What a killed live recording loses at most."""
+
 _SYNC_SECONDS = 1.0
+"""What a power cut may cost; oftener, a slow disk would hold up a recording."""
 
 
 class EpisodeWriter:

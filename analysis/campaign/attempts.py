@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from analysis.campaign.files import Material, natural
 from analysis.campaign.tuned_drop import TunedDrop
 from tunenet_logs.outcome import Outcome
+from tunenet_logs.outcome_reading import Warn
 
-Warn = Callable[[str], None]
-
-UNNAMED = "unnamed ball"
+_UNNAMED = "unnamed ball"
+"""Of a drop whose recording names no ball, and that no outcome names."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,8 +20,9 @@ class Attempt:
     """One attempt: what was dropped, until a drop was good, and what the shot then did.
 
     Attributes:
-        number: its place in the campaign, from 1.
-        of_ball: which of its ball, from 1.
+        number: its position in the campaign, from 1.
+        ball: its name.
+        of_ball: its position among those of this ball, from 1.
         drops: in their order; the last is the one that the shot was tuned from.
         outcome: None where none was recorded.
     """
@@ -57,11 +58,11 @@ class Attempt:
     @property
     def was_shot(self) -> bool:
         """Whether there was a shot: one that was given up has neither height nor miss."""
-        one = self.outcome
-        if one is None:
+        outcome = self.outcome
+        if outcome is None:
             return False
-        is_measured = one.shot_height_m is not None or one.miss_m is not None
-        return one.success or is_measured or self.is_accepted is not False
+        is_measured = outcome.shot_height_m is not None or outcome.miss_m is not None
+        return outcome.success or is_measured or self.is_accepted is not False
 
     @property
     def name(self) -> str:
@@ -76,54 +77,52 @@ def attempts_of(material: Material, warn: Warn) -> tuple[Attempt, ...]:
     that is named, of the same ball, was tried for the same attempt. Times decide where every drop
     has one of a wall clock, else names.
     """
-    drops = _ordered(material.drops)
+    drops = sorted(material.drops, key=lambda drop: natural(drop.name))
+    if all(drop.wall_ns is not None for drop in drops):
+        drops = sorted(material.drops, key=lambda drop: drop.wall_ns or 0)
     latest = _latest(material.outcomes, warn)
     linked = _linked(latest, drops, material.roots)
     made: list[tuple[int, Attempt]] = []
     waiting: list[tuple[int, TunedDrop]] = []
-    for place, drop in enumerate(drops):
+    for index, drop in enumerate(drops):
         for outcome in linked.get(id(drop), ()):
-            _check_ball(drop, outcome, warn)
-            tried = [one for one in waiting if one[1].ball in ("", outcome.ball)]
-            waiting = [one for one in waiting if one not in tried]
-            own = (*(one for _, one in tried), drop)
-            made.append((place, Attempt(0, outcome.ball, outcome.attempt, own, outcome)))
+            if drop.ball not in ("", outcome.ball):
+                warn(
+                    f"{outcome.name}: names {drop.name}, which was recorded as a drop of "
+                    f"{drop.ball}; it counts as this attempt's, correct the outcome if it is not"
+                )
+            tried = [pair for pair in waiting if pair[1].ball in ("", outcome.ball)]
+            waiting = [pair for pair in waiting if pair not in tried]
+            own = (*(before for _, before in tried), drop)
+            made.append((index, Attempt(0, outcome.ball, outcome.attempt, own, outcome)))
         if id(drop) not in linked:
-            waiting.append((place, drop))
-    made += [(place, _lone(drop)) for place, drop in waiting]
-    ordered = [one for _, one in sorted(made, key=lambda one: one[0])]
-    placed = {id(one.outcome) for one in ordered}
-    rest = [one for one in latest if id(one) not in placed]
-    ordered += [Attempt(0, one.ball, one.attempt, (), one) for one in rest]
-    if all(_wall_ns(one) is not None for one in ordered):
-        ordered.sort(key=lambda one: _wall_ns(one) or 0)
+            waiting.append((index, drop))
+    made += [
+        (index, Attempt(0, drop.ball or _UNNAMED, 0, (drop,), None)) for index, drop in waiting
+    ]
+    ordered = [attempt for _, attempt in sorted(made, key=lambda pair: pair[0])]
+    with_drop = {id(attempt.outcome) for attempt in ordered}
+    ordered += [
+        Attempt(0, outcome.ball, outcome.attempt, (), outcome)
+        for outcome in latest
+        if id(outcome) not in with_drop
+    ]
+    if all(_wall_ns(attempt) is not None for attempt in ordered):
+        ordered.sort(key=lambda attempt: _wall_ns(attempt) or 0)
     return tuple(_numbered(ordered))
-
-
-def _check_ball(drop: TunedDrop, outcome: Outcome, warn: Warn) -> None:
-    if drop.ball not in ("", outcome.ball):
-        warn(
-            f"{outcome.name}: names {drop.name}, which was recorded as a drop of {drop.ball}; it "
-            "counts as this attempt's, correct the outcome if it is not"
-        )
-
-
-def _ordered(drops: Sequence[TunedDrop]) -> list[TunedDrop]:
-    if all(one.wall_ns is not None for one in drops):
-        return sorted(drops, key=lambda one: one.wall_ns or 0)
-    return sorted(drops, key=lambda one: natural(one.name))
 
 
 def _latest(outcomes: Sequence[Outcome], warn: Warn) -> list[Outcome]:
     """Of several outcomes of one attempt the last, in the order of the first ones."""
     found: dict[tuple[str, str, int], Outcome] = {}
-    for one in outcomes:
-        key = (one.task, one.ball, one.attempt)
+    for outcome in outcomes:
+        key = (outcome.task, outcome.ball, outcome.attempt)
         if key in found:
             warn(
-                f"{one.name}: has several outcomes; the one of the latest time counts ({one.word})"
+                f"{outcome.name}: has several outcomes; the one of the latest time counts "
+                f"({outcome.word})"
             )
-        found[key] = one
+        found[key] = outcome
     return list(found.values())
 
 
@@ -131,10 +130,10 @@ def _linked(
     outcomes: Sequence[Outcome], drops: Sequence[TunedDrop], roots: Sequence[Path]
 ) -> dict[int, list[Outcome]]:
     """By the id of a drop, the outcomes that name its log or tuning."""
-    by_path = {one.resolve(): drop for drop in drops for one in (drop.log, drop.tuning) if one}
+    by_path = {path.resolve(): drop for drop in drops for path in (drop.log, drop.tuning) if path}
     by_name: dict[str, list[TunedDrop]] = {}
     for drop in drops:
-        names = {drop.name, *(one.name for one in (drop.log, drop.tuning) if one)}
+        names = {drop.name, *(path.name for path in (drop.log, drop.tuning) if path)}
         for name in names:
             by_name.setdefault(name, []).append(drop)
     linked: dict[int, list[Outcome]] = {}
@@ -153,7 +152,7 @@ def _named(
     by_name: dict[str, list[TunedDrop]],
     roots: Sequence[Path],
 ) -> TunedDrop | None:
-    """The drop of a path that may have been told elsewhere: by its name, where only one has it."""
+    """The drop of a path that was maybe written elsewhere: by its name, where only one has it."""
     for root in roots:
         found = by_path.get((root / text).resolve())
         if found is not None:
@@ -162,23 +161,21 @@ def _named(
     return same[0] if len(same) == 1 else None
 
 
-def _lone(drop: TunedDrop) -> Attempt:
-    return Attempt(0, drop.ball or UNNAMED, 0, (drop,), None)
-
-
 def _wall_ns(attempt: Attempt) -> int | None:
-    times = [one.wall_ns for one in attempt.drops]
+    """The latest time of its drops and outcome [ns since 1970]; None where none is known."""
+    times = [drop.wall_ns for drop in attempt.drops]
     if attempt.outcome is not None:
         times.append(attempt.outcome.stamp_ns or None)
-    known = [one for one in times if one is not None]
+    known = [time_ns for time_ns in times if time_ns is not None]
     return max(known) if known else None
 
 
 def _numbered(attempts: Sequence[Attempt]) -> list[Attempt]:
+    """In the campaign, and by ball where the outcome does not say."""
     counts: dict[str, int] = {}
     numbered: list[Attempt] = []
-    for number, one in enumerate(attempts, 1):
-        of_ball = one.of_ball or counts.get(one.ball, 0) + 1
-        counts[one.ball] = max(of_ball, counts.get(one.ball, 0))
-        numbered.append(replace(one, number=number, of_ball=of_ball))
+    for number, attempt in enumerate(attempts, 1):
+        of_ball = attempt.of_ball or counts.get(attempt.ball, 0) + 1
+        counts[attempt.ball] = max(of_ball, counts.get(attempt.ball, 0))
+        numbered.append(replace(attempt, number=number, of_ball=of_ball))
     return numbered

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from analysis.campaign.attempts import Attempt, attempts_of
 from analysis.campaign.files import material_of, natural
 from analysis.campaign.small_film import small_film
-from analysis.campaign.tuned_drop import TunedDrop, as_told
+from analysis.campaign.tuned_drop import TunedDrop, drop_of
 from analysis.processes import Piece, parallel_map
 from tunenet_logs.errors import UsageError
+from tunenet_logs.outcome_reading import Warn
 from tunenet_logs.progress import Progress
 
-Warn = Callable[[str], None]
-
 _AROUND_S = 0.3
-"""Of pictures before and after the curves."""
+"""Of pictures before and after the curves, so that what led to them and what followed is seen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,9 +24,10 @@ class Campaign:
     """What is reviewed.
 
     Attributes:
+        name: of the folder that was named first.
         attempts: in their order, at least one.
-        tuned_now: drops that had no tuning beside them.
-        unread: logs that cannot be read, and are no attempts.
+        tuned_now: how many drops had no tuning beside them.
+        unread: how many logs cannot be read; they are no attempts.
     """
 
     name: str
@@ -53,27 +52,27 @@ def campaign_of(
         places: folders, logs, tunings, outcomes, tables of outcomes.
         jobs: processes; None for all cores.
         progress: shows the drop under way.
-        warn: told of what cannot be read or does not fit.
+        warn: called with what cannot be read or does not fit.
 
     Raises:
         UsageError: nothing of a campaign is there.
     """
     material = material_of(places, warn)
     work: list[TunedDrop | Path] = [*material.drops, *material.untuned]
-    pieces = [Piece(one, 1, one.name) for one in work]
+    pieces = [Piece(item, 1, item.name) for item in work]
     read = parallel_map(_read, pieces, jobs, progress, ("reading", "drop")) if pieces else []
-    unread = [one for one in read if isinstance(one, _Unread)]
-    for one in unread:
-        warn(one.reason)
+    unread = [log for log in read if isinstance(log, _Unread)]
+    for log in unread:
+        warn(log.reason)
     drops = sorted(
-        (one for one in read if isinstance(one, TunedDrop)), key=lambda one: natural(one.name)
+        (drop for drop in read if isinstance(drop, TunedDrop)), key=lambda drop: natural(drop.name)
     )
     attempts = attempts_of(replace(material, drops=tuple(drops), untuned=()), warn)
     if not attempts:
-        named = ", ".join(str(one) for one in places)
+        named = ", ".join(map(str, places))
         raise UsageError(f"{named}: no drop and no outcome of it can be read")
     name = places[0].resolve().name or "campaign"
-    return Campaign(name, attempts, sum(one.tuning is None for one in drops), len(unread))
+    return Campaign(name, attempts, sum(drop.tuning is None for drop in drops), len(unread))
 
 
 def _read(item: TunedDrop | Path) -> TunedDrop | _Unread | None:
@@ -91,12 +90,13 @@ def _read(item: TunedDrop | Path) -> TunedDrop | _Unread | None:
 
 def _tuned(log: Path) -> TunedDrop | _Unread | None:
     """The drop of a log that nobody tuned yet; None where it is something else than a drop."""
-    from analysis.record import to_json
-    from analysis.tuning import Options, tune_log
+    from analysis.record import record_of
+    from analysis.selection import Options
+    from analysis.tuning import tune_log
 
     tuning = tune_log(log, Options())
     if tuning.episode is None:
         return _Unread(f"{log}: {tuning.reason}")
     if tuning.task not in ("drop", None):
         return None
-    return as_told(json.loads(to_json(tuning)), log, None)
+    return drop_of(record_of(tuning), log, None)

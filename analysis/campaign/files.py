@@ -3,33 +3,37 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from analysis.campaign.pairing import one_each, with_logs
 from analysis.campaign.tuned_drop import TunedDrop, read_tuned_drop
 from tunenet_logs.errors import LogError, UsageError
 from tunenet_logs.outcome import Outcome
-from tunenet_logs.outcome_reading import holds_outcomes, numbered, read_outcomes
+from tunenet_logs.outcome_reading import Warn, holds_outcomes, numbered, read_outcomes
+from tunenet_logs.text import listed
 
 _LOGS = frozenset((".mcap", ".bag", ".db3", ".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v"))
-_TABLES = frozenset((".csv", ".tsv", ".txt"))
-_NAMED = _LOGS | {".csv", ".tsv"}
-"""What is a log where it is named; a table in a folder may be anything."""
-_MOST_FILES = 20_000
+"""Suffixes of what is taken for a recording of a drop wherever it is found."""
 
-Warn = Callable[[str], None]
+_NAMED_LOGS = _LOGS | {".csv", ".tsv"}
+"""The same for a file that the user names: a table that merely lies in a folder may be anything."""
+
+_TABLES = frozenset((".csv", ".tsv", ".txt"))
+"""Suffixes of what may be a table of outcomes."""
+
+_MOST_FILES = 20_000
+"""Of one folder: a campaign has hundreds; somebody named the wrong folder, a home or a disk."""
 
 
 @dataclass(frozen=True)
 class Material:
-    """What a campaign's files hold.
+    """What a campaign's files contain.
 
     Attributes:
         outcomes: in the order of their times.
         drops: tuned, in the order of their names.
-        untuned: recordings that no tuning speaks of.
+        untuned: recordings that no tuning is of.
         roots: the folders that outcomes may name files from.
     """
 
@@ -43,52 +47,58 @@ def material_of(places: Sequence[Path], warn: Warn) -> Material:
     """Sort the files of folders, and files that were named.
 
     Args:
-        places: folders are gone through with those in them.
-        warn: told of what cannot be read.
+        places: files, and folders, which are searched with those in them.
+        warn: called with what cannot be read.
 
     Raises:
         UsageError: there is no such place, or nothing of a campaign in it.
         LogError: a table of outcomes is wrong.
     """
-    named = frozenset(one.resolve() for one in places if one.is_file())
+    named = frozenset(place.resolve() for place in places if place.is_file())
     outcomes: list[Outcome] = []
     drops: list[TunedDrop] = []
     logs: list[Path] = []
-    told: list[Path] = []
+    outcome_files: list[Path] = []
     for file in _files(places, warn):
-        suffixes = _NAMED if file.resolve() in named else _LOGS
+        suffixes = _NAMED_LOGS if file.resolve() in named else _LOGS
         try:
             if file.suffix.lower() == ".json":
                 drops += filter(None, [read_tuned_drop(file)])
             elif found := _outcomes(file, warn):
                 outcomes += found
-                told.append(file)
+                outcome_files.append(file)
             elif file.suffix.lower() in suffixes:
                 logs.append(file)
         except OSError as error:
             warn(f"{file}: cannot be read ({error.strerror})")
     if not (outcomes or drops or logs):
-        words = ", ".join(str(one) for one in places)
+        words = ", ".join(map(str, places))
         raise UsageError(
             f"{words}: holds no drop and no outcome; name a folder with logs that tunenet-record "
             "wrote, and the tunings beside them"
         )
-    roots = tuple(dict.fromkeys(one if one.is_dir() else one.parent for one in places))
-    drops = with_logs(drops, [*logs, *told], warn)
-    no_drops = {one.resolve() for one in told}
-    drops = [one for one in drops if one.log is None or one.log.resolve() not in no_drops]
-    drops = one_each(drops, _tunings(outcomes, roots), warn)
-    tuned = {one.log.resolve() for one in drops if one.log is not None}
+    roots = tuple(dict.fromkeys(place if place.is_dir() else place.parent for place in places))
+    no_drops = {file.resolve() for file in outcome_files}
+    drops = [
+        drop
+        for drop in _with_logs(drops, [*logs, *outcome_files], warn)
+        if drop.log is None or drop.log.resolve() not in no_drops
+    ]
+    texts = {outcome.tuning for outcome in outcomes if outcome.tuning}
+    drops = _one_each(
+        drops, frozenset((root / text).resolve() for text in texts for root in roots), warn
+    )
+    tuned = {drop.log.resolve() for drop in drops if drop.log is not None}
     return Material(
-        outcomes=tuple(sorted(numbered(outcomes), key=lambda one: one.stamp_ns)),
-        drops=tuple(sorted(drops, key=lambda one: natural(one.name))),
-        untuned=tuple(one for one in logs if not tuned & {one.resolve(), one.resolve().parent}),
+        outcomes=tuple(sorted(numbered(outcomes), key=lambda outcome: outcome.stamp_ns)),
+        drops=tuple(sorted(drops, key=lambda drop: natural(drop.name))),
+        untuned=tuple(log for log in logs if not tuned & {log.resolve(), log.resolve().parent}),
         roots=roots,
     )
 
 
 def natural(name: str) -> tuple[tuple[int, int, str], ...]:
-    """Sorts names as people count: drop_2 before drop_10."""
+    """A key that sorts names as people count: drop_2 before drop_10."""
     parts: list[tuple[int, int, str]] = []
     text = ""
     for letter in [*name, ""]:
@@ -124,14 +134,8 @@ def _inside(folder: Path, warn: Warn) -> list[Path]:
     return found
 
 
-def _tunings(outcomes: Iterable[Outcome], roots: Sequence[Path]) -> frozenset[Path]:
-    """Those that outcomes name."""
-    texts = {one.tuning for one in outcomes if one.tuning}
-    return frozenset((root / text).resolve() for text in texts for root in roots)
-
-
 def _outcomes(file: Path, warn: Warn) -> Sequence[Outcome]:
-    """Those of a file; none of a log or a text that holds something else.
+    """Those of a file; none of a log or a text that is something else.
 
     Raises:
         LogError: a table of outcomes is wrong.
@@ -152,3 +156,54 @@ def _outcomes(file: Path, warn: Warn) -> Sequence[Outcome]:
         if suffix in _TABLES:
             raise
         return ()
+
+
+def _with_logs(drops: Iterable[TunedDrop], logs: Iterable[Path], warn: Warn) -> list[TunedDrop]:
+    """Give tunings that lie apart from their logs the one log of that name.
+
+    Args:
+        drops: a tuning without a log whose name several logs have is left out; `warn` says so.
+        logs: all recordings of the campaign.
+        warn: called with tunings that may be of several logs.
+    """
+    by_name: dict[str, list[Path]] = {}
+    for log in logs:
+        by_name.setdefault(log.name, []).append(log)
+    placed: list[TunedDrop] = []
+    for drop in drops:
+        same = by_name.get(drop.name, []) if drop.log is None else []
+        if len(same) > 1:
+            warn(
+                f"{drop.tuning}: is left out, as {len(same)} logs are called {drop.name} "
+                f"({listed(map(str, same))}); put it beside its own"
+            )
+        else:
+            placed.append(replace(drop, log=same[0]) if same else drop)
+    return placed
+
+
+def _one_each(drops: Sequence[TunedDrop], named: frozenset[Path], warn: Warn) -> list[TunedDrop]:
+    """Of several tunings of one log the one that counts, so that no drop is counted twice.
+
+    Args:
+        drops: those without a log stay.
+        named: what outcomes name, resolved: that counts; else what is called as the log is.
+        warn: called with which counts.
+    """
+    by_log: dict[Path, list[TunedDrop]] = {}
+    for drop in drops:
+        if drop.log is not None:
+            by_log.setdefault(drop.log.resolve(), []).append(drop)
+    kept = [drop for drop in drops if drop.log is None]
+    for log, several in by_log.items():
+        chosen = min(several, key=lambda drop: _rank(drop, named))
+        if len(several) > 1:
+            warn(f"{log}: has {len(several)} tunings; {chosen.tuning} counts")
+        kept.append(chosen)
+    return kept
+
+
+def _rank(drop: TunedDrop, named: frozenset[Path]) -> tuple[bool, bool, str]:
+    """The least is of the tuning that counts: named by an outcome, else called as its log."""
+    tuning, log = drop.tuning or Path(), drop.log or Path()
+    return tuning.resolve() not in named, tuning.stem != log.stem, str(tuning)

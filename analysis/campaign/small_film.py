@@ -1,4 +1,4 @@
-"""The pictures of a drop, small: at most 160 px wide, 30 a second; and all of them in one."""
+"""The pictures of a drop, small: at most 160 px wide, 30 a second; and a strobe picture of them."""
 
 from __future__ import annotations
 
@@ -15,13 +15,22 @@ from tunenet_logs.images import decode_small
 from tunenet_logs.reader import read_episode
 
 WIDTH_PX = 160
+"""Of the longer side: what a view in a corner of a review shows."""
+
 RATE_HZ = 30.0
+"""Pictures a second, at most: they play smoothly."""
+
 _MOST_PICTURES = 300
+"""Ten seconds at that rate: a drop is over by then."""
+
 _QUALITY = 75
+"""Of JPEG, 0 to 100: small files, in which the ball is still clear."""
+
 _SLACK_S = 0.25 / RATE_HZ
-"""Stamps jitter, and a picture that is due must not be passed over."""
+"""Stamps jitter: a picture that comes so little before it is due must not be passed over."""
 
 _STROBES = 24
+"""Pictures in a strobe picture: with more, a ball would overlap itself along its way."""
 
 
 @dataclass(frozen=True)
@@ -29,10 +38,11 @@ class SmallFilm:
     """Pictures as JPEG.
 
     Attributes:
-        seconds: since `start_ns` [s], rising.
-        pictures: one for each time.
+        start_ns: what seconds count from.
+        seconds: rising, one for each picture [s].
+        pictures: in their order.
         strobe: the ball at many of those times, in one picture.
-        size_px: (width, height).
+        size_px: (width, height) of each.
     """
 
     start_ns: int
@@ -50,8 +60,8 @@ def small_film(
     Args:
         log: of any kind.
         start_ns: what seconds count from; the first picture if None.
-        window_s: first and last time that are wanted, since `start_ns`; as far as it is allowed
-            to be long, if None.
+        window_s: first and last time that are wanted, since `start_ns`; all if None, up to the
+            most pictures that are kept.
     """
     try:
         episode = read_episode(log)
@@ -85,7 +95,7 @@ def small_film(
 
 
 class _Pace:
-    """Which of the pictures are kept, so that they are at most so many a second."""
+    """Which of the pictures are kept, so that they are at most `RATE_HZ`."""
 
     def __init__(self) -> None:
         self._due_s = float("-inf")
@@ -103,7 +113,7 @@ class _Pace:
 
 
 def _reduced(frame: Frame) -> Picture:
-    """BGR, uint8."""
+    """The picture made smaller, shape (H, W, 3), BGR."""
     import cv2
 
     is_bare = frame.size is not None
@@ -116,7 +126,10 @@ def _reduced(frame: Frame) -> Picture:
 
 
 def _strobe(pictures: list[Picture]) -> Picture:
-    """What moves, wherever it was, over what does not: each pixel as it was furthest from usual."""
+    """What moves, wherever it was, over what does not, shape (H, W, 3).
+
+    Each pixel is taken from the picture in which it is furthest from its median.
+    """
     chosen = np.linspace(0, len(pictures) - 1, min(len(pictures), _STROBES)).round().astype(int)
     stack = np.stack([pictures[index] for index in np.unique(chosen)])
     usual = np.median(stack, axis=0).astype(np.int16)

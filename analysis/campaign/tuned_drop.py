@@ -1,21 +1,20 @@
-"""A drop of a campaign as its tuning's JSON tells of it."""
+"""A drop of a campaign, by the record of its tuning."""
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from analysis.campaign.small_film import SmallFilm
-from analysis.drop.curves import TunedCurves
-from analysis.tuning import Verdict
+from analysis.checks import Verdict
+from analysis.record import Curves, Record
+from analysis.record_json import read_record
+from tunenet_logs.errors import LogError
 
 State = Literal["drop", "doubtful drop", "rejected drop"]
 
-_MOST_BYTES = 16 * 1024**2
 _FIRST_WALL_NS = 10**17
 """Stamps from 1973 on are a wall clock's; smaller ones count from a start."""
 
@@ -51,7 +50,7 @@ class TunedDrop:
     reason: str
     value: float | None
     interval95: tuple[float, float] | None
-    overlay: TunedCurves | None
+    overlay: Curves | None
     window_s: tuple[float, float] | None = None
     film: SmallFilm | None = None
 
@@ -74,47 +73,35 @@ def read_tuned_drop(tuning: Path) -> TunedDrop | None:
     Raises:
         OSError: it cannot be read.
     """
-    if tuning.stat().st_size > _MOST_BYTES:
-        return None
+    tuning.stat()  # a file that cannot be read is no file of something else
     try:
-        told = json.loads(tuning.read_bytes())
-        if told["task"] not in ("drop", None):
-            return None
-        name = Path(str(told["log"])).name
-        log = tuning.parent / name
-        is_beside = name not in ("", "..") and log.exists()
-        return as_told(told, log if is_beside else None, tuning)
-    except (ValueError, TypeError, LookupError, AttributeError, RecursionError):
+        record = read_record(tuning)
+    except LogError:
         return None
+    if record.task not in ("drop", None):
+        return None
+    name = Path(record.log).name
+    log = tuning.parent / name
+    is_beside = name not in ("", "..") and log.exists()
+    return drop_of(record, log if is_beside else None, tuning)
 
 
-def as_told(told: Mapping[str, Any], log: Path | None, tuning: Path | None) -> TunedDrop:
-    """The drop of what a tuning's JSON says.
-
-    Raises:
-        ValueError, TypeError, LookupError: it says something else.
-    """
-    restitution = (told["parameters"] or {}).get("restitution")
-    ends = restitution and restitution["interval95"]
-    window = told.get("window")
-    if told["verdict"] not in _STATES:
-        raise ValueError("no verdict")
+def drop_of(record: Record, log: Path | None, tuning: Path | None) -> TunedDrop:
+    """The drop of a record: its log and its JSON, where they are there."""
+    restitution = record.estimate("restitution")
+    value, ends = (
+        (None, None) if restitution is None else (restitution.value, restitution.interval95)
+    )
+    window = record.window
     return TunedDrop(
         log=log,
         tuning=tuning,
-        name=str(told["log"]),
-        ball=str(told.get("ball") or ""),
-        verdict=told["verdict"],
-        reason=str(told["reason"] or ""),
-        value=_finite(restitution["value"]) if restitution else None,
-        interval95=(_finite(ends[0]), _finite(ends[1])) if ends else None,
-        overlay=TunedCurves.from_json(told["curves"]) if "curves" in told else None,
-        window_s=(_finite(window["start_s"]), _finite(window["end_s"])) if window else None,
+        name=record.log,
+        ball=record.ball or "",
+        verdict=record.verdict,
+        reason=record.reason or "",
+        value=value if isinstance(value, float) else None,
+        interval95=ends,  # pyright: ignore[reportArgumentType] (one number has one interval)
+        overlay=record.curves,
+        window_s=(window["start_s"], window["end_s"]) if window else None,
     )
-
-
-def _finite(value: Any) -> float:
-    number = float(value)
-    if not math.isfinite(number):
-        raise ValueError(f"{value} is no number")
-    return number

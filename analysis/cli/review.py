@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from analysis.cli.options import jobs_option
 from tunenet_logs.commandline import Parser, run
 from tunenet_logs.errors import UsageError
-from tunenet_logs.wording import one_line, short_name
+from tunenet_logs.text import one_line, short_name
 
 if TYPE_CHECKING:
     from analysis.campaign.rates import Rate
@@ -55,7 +55,7 @@ def _review(arguments: Any) -> int:
     if output.suffix != ".rrd":
         raise UsageError(f"{output}: what is written is a recording; name it {output.stem}.rrd")
     from analysis.campaign.build import campaign_of
-    from analysis.campaign.rates import ball_rates, overall_rates, spreads
+    from analysis.campaign.rates import ball_rates, overall_rates, restitutions_by_ball
     from analysis.result_files import check_writable
     from analysis.review.campaign import write_campaign
     from tunenet_logs.progress import Progress
@@ -69,9 +69,11 @@ def _review(arguments: Any) -> int:
     for rate in (*overall_rates(attempts), *ball_rates(attempts)):
         if rate.count:
             print(_in_words(rate))
-    for one in spreads(attempts):
-        sd = f" ± {one.deviation:.4f}" if len(one.values) > 1 else ""
-        print(f"{short_name(one.ball, 30):30}  restitution {one.mean:.4f}{sd} ({len(one.values)})")
+    for ball in restitutions_by_ball(attempts):
+        sd = f" ± {ball.sd:.4f}" if len(ball.values) > 1 else ""
+        print(
+            f"{short_name(ball.name, 30):30}  restitution {ball.mean:.4f}{sd} ({len(ball.values)})"
+        )
     print(f"\nreview: rerun {one_line(output)}")
     return 1 if campaign.unread else 0
 
@@ -81,7 +83,7 @@ def _in_words(rate: Rate) -> str:
     paper = "" if rate.published is None else f"   paper {100 * rate.published:.0f} %"
     return (
         f"{short_name(rate.name, 30):30}  {rate.successes}/{rate.count} = "
-        f"{100 * rate.share:.0f} % (95 %: {100 * low:.0f} to {100 * high:.0f} %){paper}"
+        f"{100 * rate.fraction:.0f} % (95 %: {100 * low:.0f} to {100 * high:.0f} %){paper}"
     )
 
 

@@ -9,9 +9,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from analysis.cli.options import jobs_option, preset_option
+from analysis.registry import EXPERIMENTS, experiment_named
 from tunenet_logs.commandline import Parser, run, whole
 from tunenet_logs.errors import UsageError, WeightsError
-from tunenet_logs.wording import one_line
+from tunenet_logs.text import one_line
 
 _DESCRIPTION = """\
 Simulate pairs of episodes on all cores, train the network on them, and write its
@@ -32,7 +33,7 @@ def build_parser() -> Parser:
     """The command's arguments."""
     parser = Parser("tunenet-train", _DESCRIPTION, _EXAMPLES)
     add = parser.add_argument
-    add("task", choices=["drop", "drop-video", "payload"], help="what to learn to tune")
+    add("task", choices=EXPERIMENTS, help="what to learn to tune")
     add(
         "-o",
         "--output",
@@ -82,33 +83,34 @@ def _train(arguments: argparse.Namespace) -> int:
 
     import torch  # noqa: F401 (loading it is start-up, not training)
 
-    from analysis.registry import TASKS
     from analysis.tunenet.checkpoint import save_model
     from analysis.tunenet.training import one_step_error, train
     from tunenet_logs.progress import Progress
 
-    presets = TASKS[arguments.task].presets
+    presets = experiment_named(arguments.task).presets
     if arguments.preset not in presets:
         known = ", ".join(presets)
         raise UsageError(f"{arguments.task} has no preset {arguments.preset!r}; there is: {known}")
-    preset = presets[arguments.preset]
+    training = presets[arguments.preset].training
+    if training is None:
+        raise UsageError(f"{arguments.task} has no network under the preset {arguments.preset}")
     progress = Progress(quiet=arguments.quiet)
     start = time.perf_counter()
-    pairs = preset.make_pairs(arguments.pairs, arguments.seed, arguments.jobs, progress)
+    pairs = training.make_pairs(arguments.pairs, arguments.seed, arguments.jobs, progress)
     simulated = time.perf_counter()
-    recipe = preset.recipe
+    recipe = training.recipe
     if arguments.epochs is not None:
         recipe = replace(recipe, epochs=arguments.epochs)
-    model = train(preset.network, pairs, recipe, arguments.seed, progress)
+    model = train(training.network, pairs, recipe, arguments.seed, progress)
     trained = time.perf_counter()
     notes = {"seed": str(arguments.seed), "pairs": str(len(pairs.proposed)), "recipe": str(recipe)}
-    digest = save_model(path, model, preset.purpose, notes)
+    digest = save_model(path, model, training.purpose, notes)
     print(
         f"{one_line(path)}: {len(pairs.values)} rollouts in {simulated - start:.1f} s, "
         f"{len(pairs.proposed)} pairs x {recipe.epochs} epochs in {trained - simulated:.1f} s, "
         f"{trained - start:.1f} s in all; sha256 {digest}"
     )
-    held_out = preset.make_pairs(_HELD_OUT, arguments.seed + 1_000_003, arguments.jobs, progress)
+    held_out = training.make_pairs(_HELD_OUT, arguments.seed + 1_000_003, arguments.jobs, progress)
     error = one_step_error(model, held_out)
     print(f"one step on {_HELD_OUT} fresh pairs: mean absolute error {error:.5f}")
     return 0

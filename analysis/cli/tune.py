@@ -10,15 +10,21 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from analysis.cli.arm import arm_as_told, arm_options
-from analysis.cli.ball import ball_as_told, ball_options
-from analysis.cli.options import jobs_option, preset_option
+from analysis.cli.options import (
+    arm_options,
+    ball_options,
+    jobs_option,
+    known_arm,
+    known_ball,
+    preset_option,
+)
+from analysis.registry import METHODS, kinds
 from tunenet_logs.commandline import Parser, number, run, whole
 from tunenet_logs.errors import NotFoundError, UsageError
-from tunenet_logs.wording import listed, one_line
+from tunenet_logs.text import listed, one_line
 
 if TYPE_CHECKING:
-    from analysis.experiment import Selection
+    from analysis.selection import Selection
     from tunenet_logs.progress import Progress
 
 _DESCRIPTION = """\
@@ -55,7 +61,7 @@ def build_parser() -> Parser:
     add("-o", "--output", type=Path, metavar="DIR", help="folder for the results")
     add(
         "--task",
-        choices=["drop", "payload"],
+        choices=kinds(),
         help="what the log shows (default: what it says itself, or what is in it)",
     )
     add(
@@ -73,26 +79,30 @@ def build_parser() -> Parser:
     preset_option(parser)
     add(
         "--method",
-        choices=["tunenet+refine", "tunenet"],
-        help="the network's steps and a least-squares fit after them, with an interval, or the "
-        "steps alone (default: the fit, under the preset default)",
+        choices=METHODS,
+        metavar="NAME",
+        help="how the parameters are estimated: the network's steps and the exact fit after them "
+        "(tunenet+refine, the default of the preset default), the steps alone (tunenet), the fit "
+        f"alone (fit), or by rollouts alone: {', '.join(list(METHODS)[3:])}. Only fits give an "
+        "interval",
     )
     add(
         "--iterations",
         type=whole(1, 1000),
         default=5,
         metavar="K",
-        help="steps of the network, one rollout each (default: 5)",
+        help="rollouts that the method may spend, before those that check its answer (default: 5)",
     )
     add(
         "--initial",
-        type=number(0, 1000),
-        metavar="X",
-        help="restitution or mass [kg] to start from (default: 0, a ball that does not bounce; "
-        "0.5 kg)",
+        type=_vector,
+        metavar="X[,Y,...]",
+        help="restitution or mass [kg] to start from, one value a parameter (default with a "
+        "network: 0, a ball that does not bounce; 0.5 kg; without: the middle of the range)",
     )
     add("--weights", type=Path, metavar="FILE", help="weights by tunenet-train (default: shipped)")
     jobs_option(parser, "logs at a time")
+    add("--overwrite", action="store_true", help="replace results of other logs")
     add("--quiet", action="store_true", help="no progress bar")
     return parser
 
@@ -131,6 +141,10 @@ def _numbers(text: str, count: int, what: str) -> tuple[float, ...]:
     return values
 
 
+def _vector(text: str) -> tuple[float, ...]:
+    return _numbers(text, text.count(",") + 1, "a number, or some with commas between them")
+
+
 def _box(text: str) -> tuple[int, ...]:
     values = _numbers(text, 4, "a box X,Y,W,H of whole pixels, such as 400,0,500,1080")
     if any(value != int(value) for value in values) or not values[2] or not values[3]:
@@ -161,10 +175,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _tune(arguments: argparse.Namespace) -> int:
     from analysis.batch import tune_all
-    from analysis.experiment import Selection
-    from analysis.record import table
-    from analysis.tracking.track import Hints
-    from analysis.tuning import Options
+    from analysis.report import table
+    from analysis.selection import Hints, Options, Selection
     from tunenet_logs.progress import Progress
 
     if None not in (arguments.start, arguments.end) and arguments.start >= arguments.end:
@@ -179,10 +191,10 @@ def _tune(arguments: argparse.Namespace) -> int:
         arguments.start,
         arguments.end,
         Hints(arguments.roi, arguments.hsv, arguments.ball_at),
-        ball_as_told(arguments),
+        known_ball(arguments),
         arguments.fit_drag,
         arguments.tare,
-        arm_as_told(arguments),
+        known_arm(arguments),
     )
     options = Options(
         task=arguments.task,
@@ -196,22 +208,24 @@ def _tune(arguments: argparse.Namespace) -> int:
         else selection,
     )
     jobs = arguments.jobs or len(os.sched_getaffinity(0))
-    results = tune_all(arguments.logs, options, arguments.output, jobs, progress)
+    results = tune_all(
+        arguments.logs, options, arguments.output, jobs, progress, overwrite=arguments.overwrite
+    )
     rows = [result.row for result in results]
-    if any(row.read for row in rows):
-        print(table([row for row in rows if row.read]))
-    for row in rows:
-        remarks = row.warnings if row.read else (row.reason, *row.warnings)
-        for remark in remarks:
-            print(one_line(f"tunenet-tune: {row.log}: {remark}"), file=sys.stderr)
+    if any(row.is_read for row in rows):
+        print(table([row for row in rows if row.is_read]))
     for result in results:
+        record = result.row.record
+        remarks = record.warnings if result.row.is_read else (record.reason, *record.warnings)
+        for remark in () if result.trouble and not result.row.is_read else remarks:
+            print(one_line(f"tunenet-tune: {result.row.log}: {remark}"), file=sys.stderr)
         if result.trouble:
             print(one_line(f"tunenet-tune: {result.trouble}"), file=sys.stderr)
     reviews = [one_line(result.review) for result in results if result.review]
     if reviews:
         print("\nreview: " + "\n        ".join(f"rerun {review}" for review in reviews))
-    failed = any(one.row.verdict == "rejected" or one.trouble for one in results)
-    return int(failed)
+    failed = [one.row.record.verdict == "rejected" or one.trouble for one in results]
+    return int(any(failed))
 
 
 def _check_preview(arguments: argparse.Namespace) -> None:

@@ -1,50 +1,32 @@
-"""Checks of a recorded drop: each named, with its figure and what it asks for."""
+"""Checks of a recorded drop: each with its figure, its limit and what to do about it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from analysis.checks import Check, figures
 from analysis.drop.free_fall import Drop
-from analysis.estimators.observation import Observation
+from analysis.estimators.base import Observation
+from recorders.simulators.contact import CALIBRATED
 from tunenet_logs.arrays import Array
-from tunenet_logs.episode import Episode
 
-_GRAVITY_M_S2 = 9.81
 _REJECT_FIT = 0.1
+"""Rms in drop heights: a simulation that is farther off is of something else than the recording."""
+
 _CLEAR_FLIGHT = 10
+"""Samples of a first flight in which a parabola can be found, if there is one."""
+
 _CLEAR_HOP = 8
+"""A first rebound lower than this many standard deviations of the noise has no value of its own."""
+
 _MOST_GAP = 4.0
+"""Sample periods without a sample: a longer gap may hide an impact."""
+
 _SURE = 0.02
-_MORE_DIGITS = 3
+"""Half width of an interval that still tells one ball from another."""
 
-
-@dataclass(frozen=True)
-class Check:
-    """One thing that was looked at.
-
-    Attributes:
-        detail: the figure that was seen, and what was asked for.
-        fatal: a failure means that no value can be reported at all.
-        advice: what to do at the next drop so that it passes, as one short order.
-    """
-
-    name: str
-    passed: bool
-    detail: str
-    fatal: bool = False
-    advice: str = ""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "passed", bool(self.passed))  # NumPy's bool is no JSON
-
-
-def log_checks(episode: Episode) -> tuple[Check, ...]:
-    """What the file tells: a log whose samples may have been changed cannot be trusted."""
-    detail = episode.tainted or "no sample that was read is known to be damaged"
-    advice = "tune the log as it was before it was damaged"
-    return (Check("samples as they were recorded", not episode.tainted, detail, advice=advice),)
+_WITHIN_GRAVITY = 0.05
+"""Relative: a fall may be this far from g, as the air and a short fall make it."""
 
 
 def recording_checks(drop: Drop, sideways_m: Array, most_gap_falls: float = 0.0) -> list[Check]:
@@ -64,10 +46,10 @@ def recording_checks(drop: Drop, sideways_m: Array, most_gap_falls: float = 0.0)
     gap = float(periods.max() / np.median(periods))
     most_gap = max(_MOST_GAP, most_gap_falls * drop.fall_time_s / float(np.median(periods)))
     floor = 0.03 * height + 6 * drop.noise_m
-    flown, wanted = _pair(seen, 0.9, 1)
-    under, most_under = _pair(1000 * max(below, 0.0), 1000 * floor, 1)
-    aside, most_aside = _pair(1000 * drift, 500 * height, 0)
-    longest, too_long = _pair(gap, most_gap, 1)
+    flown, wanted = figures(seen, 0.9, 1)
+    under, most_under = figures(1000 * max(below, 0.0), 1000 * floor, 1)
+    aside, most_aside = figures(1000 * drift, 500 * height, 0)
+    longest, too_long = figures(gap, most_gap, 1)
     return [
         Check(
             "first flight seen",
@@ -101,14 +83,14 @@ def fall_checks(drop: Drop, restitution: float) -> list[Check]:
     checks = [
         Check(
             "gravity",
-            abs(drop.gravity_m_s2 / _GRAVITY_M_S2 - 1) < 0.05,
+            abs(drop.gravity_m_s2 / CALIBRATED.gravity_m_s2 - 1) < _WITHIN_GRAVITY,
             f"falls with {drop.gravity_m_s2:.2f} m/s² (wanted: 9.81 within 5 %)",
             advice="record lengths in m and the true times",
         )
     ]
     if not np.isnan(drop.rest_m):
         off = abs(drop.rest_m - drop.contact_m)
-        apart, most_apart = _pair(1000 * off, 1000 * drop.rest_tolerance_m, 1)
+        apart, most_apart = figures(1000 * off, 1000 * drop.rest_tolerance_m, 1)
         checks.append(
             Check(
                 "rests where it hit",
@@ -120,7 +102,7 @@ def fall_checks(drop: Drop, restitution: float) -> list[Check]:
     flight_samples = 2 * restitution * drop.fall_time_s / float(np.median(np.diff(drop.seconds)))
     if not np.isnan(drop.drag):
         most = 0.02 + 2 * drop.drag_sd
-        slower, most_slower = _pair(100 * drop.drag, 100 * most, 1)
+        slower, most_slower = figures(100 * drop.drag, 100 * most, 1)
         checks.append(
             Check(
                 "no air drag",
@@ -142,7 +124,7 @@ def fall_checks(drop: Drop, restitution: float) -> list[Check]:
 def rebound_check(drop: Drop, restitution: float) -> Check:
     """Whether the noise leaves enough of the first rebound, where no interval says so."""
     hop_m = restitution**2 * drop.drop_height_m
-    high, least = _pair(1000 * hop_m, 1000 * _CLEAR_HOP * drop.noise_m, 1)
+    high, least = figures(1000 * hop_m, 1000 * _CLEAR_HOP * drop.noise_m, 1)
     return Check(
         "rebound stands out",
         hop_m > _CLEAR_HOP * drop.noise_m,
@@ -160,13 +142,14 @@ def sure_check(low: float, high: float, reject: float = np.inf) -> Check:
         reject: half a width from which on nothing is known.
     """
     half = (high - low) / 2
-    shown, most = _pair(half, _SURE, 2, "g")
+    shown, most = figures(half, _SURE, 2, "g")
     return Check(
         "sure enough",
         half < _SURE,
         f"95 % interval of ±{shown} (at most {most})",
         fatal=half > reject,
         advice="drop from higher, or record larger or at a higher rate",
+        doubts_model=False,
     )
 
 
@@ -188,7 +171,7 @@ def fit_check(
     """
     off = (simulated.values - target.values) / scale
     rms = float(np.sqrt(np.nanmean(off**2)))
-    apart, most_apart = _pair(100 * rms, 100 * most, 2)
+    apart, most_apart = figures(100 * rms, 100 * most, 2)
     return Check(
         "simulation fits",
         rms < most,
@@ -196,12 +179,3 @@ def fit_check(
         fatal=rms > reject,
         advice="drop it again without spin, onto a hard and level surface",
     )
-
-
-def _pair(seen: float, limit: float, digits: int, kind: str = "f") -> tuple[str, str]:
-    """Two numbers with so many digits, or more where they would read alike."""
-    for more in range(digits, digits + _MORE_DIGITS + 1):
-        pair = f"{seen:.{more}{kind}}", f"{limit:.{more}{kind}}"
-        if pair[0] != pair[1]:
-            return pair
-    return f"{seen:.{digits}{kind}}", f"{limit:.{digits}{kind}}"

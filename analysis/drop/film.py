@@ -11,18 +11,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.drop.film_fit import DRAGGED, SLOPED, FilmFit, Samples
-from analysis.drop.film_search import (
-    FEWEST_SAMPLES,
-    find_fits,
-    later_impacts_s,
-    left_out,
-    told_by,
-)
+from analysis.drop.film_fit import DRAGGED, SLOPED, FilmFit, TrackSamples
+from analysis.drop.film_search import FEWEST_SAMPLES, deep_falls_s, find_fits, preferred_fit
 from analysis.drop.free_fall import Drop, noise_of
 from analysis.drop.observations import canonical_axis, paper_axis
 from analysis.drop.projection import Projection
-from analysis.estimators.observation import Observation, resample
+from analysis.estimators.base import Observation, resample
 from analysis.tracking.track import Track
 from recorders.simulators.balls import Ball
 from recorders.simulators.contact import CALIBRATED
@@ -30,12 +24,20 @@ from tunenet_logs.arrays import Array
 from tunenet_logs.errors import NotFoundError
 
 _LEAST_SPAN_PX = 15.0
+"""Below it no bounce is told from the noise of a track; the checks ask for 40."""
+
 _MARGIN_S = 0.5
+"""Kept before what is fitted, to be seen in a review."""
+
 _WHOLE_PX_NOISE, _LEAST_NOISE_PX = 0.45, 0.1
-"""Rounding to whole pixels is no noise: a ball that lies still is always rounded the same way."""
+"""Least noise [px] of positions in whole pixels, and of others. Rounding to whole pixels is no
+noise: a ball that lies still is always rounded the same way."""
 
 _STRAIGHT = 0.0015
-"""Of the span: what no lens is held to."""
+"""Fraction of the span by which a good lens may distort the vertical."""
+
+_EARLIER, _LATER = 1.1, 0.8
+"""Fractions of the drop's fall from which another fall before it, or after it, is reported."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,11 +50,13 @@ class FilmedDrop:
         fits: to the same samples: of a ball that keeps its restitution, of one whose restitution
             falls with speed, and of one that the air slows; the latter unless the air is known, and
             not the one before if the drag is asked for.
+        best: of the fits: the ideal ball's unless another explains clearly more.
         projection: where its heights are in the picture, by the best fit; on the log's time.
         used: which pictures the drop is made of, shape (T,) of the track.
-        sideways: distance from the image's vertical [drop heights], one for each used picture.
+        sideways: distance from the image's vertical [drop heights], shape (used pictures,).
         drop: its heights by the projection, contact at 0.
-        left_out: impacts before it, after deeper falls, from which no drop could be fitted.
+        left_out: how many impacts are before it, after deeper falls, that no drop could be fitted
+            from.
         later_s: impacts after it, after falls as deep, on the drop's clock.
         flights: how many it is made of where the ball bounces otherwise after them; None where not.
     """
@@ -60,6 +64,7 @@ class FilmedDrop:
     track: Track
     down_px: Array
     fits: tuple[FilmFit, ...]
+    best: FilmFit
     projection: Projection
     used: NDArray[np.bool_]
     sideways: Array
@@ -67,11 +72,6 @@ class FilmedDrop:
     left_out: int
     later_s: tuple[float, ...]
     flights: int | None = None
-
-    @property
-    def best(self) -> FilmFit:
-        """Of the fits: the ideal ball's unless another explains clearly more."""
-        return told_by(self.fits)
 
 
 def find_filmed_drop(
@@ -100,21 +100,22 @@ def find_filmed_drop(
     drag_1_m = (ball.drag_1_m if ball and not fit_drag else None) or 0.0
     least_px = _WHOLE_PX_NOISE if is_whole(track.places_px[known]) else _LEAST_NOISE_PX
     noise_px = max(noise_of(along), least_px)
-    bent_px = _STRAIGHT * span
-    bent = max(0.0, 1 - (noise_px / bent_px) ** 2)
-    noise_px = max(noise_px, bent_px)
-    whole = Samples(
+    distortion_px = _STRAIGHT * span
+    whole = TrackSamples(
         seconds=seconds,
-        places_px=along,
-        noise_px=noise_px,
-        bent=bent,
+        positions_px=along,
+        noise_px=max(noise_px, distortion_px),
+        distortion_variance_fraction=max(0.0, 1 - (noise_px / distortion_px) ** 2),
         drag_1_s2=drag_1_m * CALIBRATED.gravity_m_s2 / 2,
         exposure_s=min(track.exposure_s, float(np.median(np.diff(seconds)))),
     )
     balls = (DRAGGED,) if fit_drag else (SLOPED,) if drag_1_m else (SLOPED, DRAGGED)
     fits, flights = find_fits(whole, balls)
-    best = told_by(fits)
+    best = preferred_fit(fits)
     projection = best.projection()
+    before_s = projection.impact_s - projection.fall_time_s / 4
+    before = whole.part(0, int(np.searchsorted(seconds, before_s)))
+    later = whole.part(int(np.searchsorted(seconds, best.samples.seconds[-1])), len(seconds))
     begin = int(np.searchsorted(seconds, best.samples.seconds[0] - _MARGIN_S))
     last = int(np.searchsorted(seconds, best.samples.seconds[-1], side="right"))
     used = np.zeros(len(track.stamps_ns), dtype=bool)
@@ -124,12 +125,13 @@ def find_filmed_drop(
         track=track,
         down_px=down,
         fits=fits,
+        best=best,
         projection=projection,
         used=used,
         sideways=(across - np.median(across)) / projection.span_px,
-        drop=_drop(seconds[begin:last], along[begin:last], projection, noise_px, begin),
-        left_out=left_out(whole, projection),
-        later_s=later_impacts_s(whole, best),
+        drop=_drop(seconds[begin:last], along[begin:last], projection, whole.noise_px, begin),
+        left_out=len(deep_falls_s(before, _EARLIER * projection.span_px)),
+        later_s=tuple(deep_falls_s(later, _LATER * projection.span_px)),
         flights=flights,
     )
 
@@ -177,12 +179,13 @@ def _usable(track: Track) -> NDArray[np.intp]:
     return known[later] if np.linalg.norm(track.gravity_px) > 0 else known[:0]
 
 
-def is_whole(places_px: Array) -> bool:
-    """Whether places are rounded to whole pixels."""
-    return bool(np.all(places_px == np.round(places_px)))
+def is_whole(positions_px: Array) -> bool:
+    """Whether positions [px], of any shape, are rounded to whole pixels."""
+    return bool(np.all(positions_px == np.round(positions_px)))
 
 
 def _drop(seconds: Array, along: Array, fit: Projection, noise_px: float, first: int) -> Drop:
+    """The heights of positions along the vertical; at rest where 6 samples or more lie still."""
     gravity = CALIBRATED.gravity_m_s2
     height_m = gravity * fit.fall_time_s**2 / 2
     heights = np.clip(fit.heights(along), -1.0, 2.0)

@@ -1,37 +1,72 @@
-"""Checks of a filmed drop: what an uncalibrated picture can tell of itself."""
+"""Checks of a filmed drop: what an uncalibrated picture can tell of itself.
+
+A fit takes up much of what is wrong with a film. So beside its residuals these look at what it
+cannot take up: positions that lag behind the fitted ball from some moment on, and a ball that grows
+or shrinks as no fitted camera has it.
+"""
 
 from __future__ import annotations
 
-from typing import TypeGuard
+from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.drop.checks import Check
+from analysis.checks import Check
 from analysis.drop.film import FilmedDrop, is_whole
-from analysis.drop.film_doubts import clock_doubt, size_doubt
+from analysis.drop.film_fit import IMPACT, SLOPED, FilmFit
+from analysis.drop.projection import Projection
+from tunenet_logs.arrays import Array
 
 _LEAST_SPAN_PX = 40
+"""Of a fall: in a smaller one the first hop of restitution .2 is under 2 px high."""
+
 _CLEAR_HOP = 6
-_SEEN, _REJECT_SEEN = 0.8, 0.6
-_LOOKED_AT = 4.0
+"""Standard deviations of the noise that a first hop has to be high."""
+
+_SEEN, _REJECT_SEEN, _LOOKED_AT = 0.8, 0.6, 4.0
+"""Fractions of the pictures in which the ball has to be found, and fall times of them."""
+
 _RESIDUAL, _REJECT_RESIDUAL, _REJECT_WORST = 0.02, 0.03, 0.10
+"""Of the drop height: rms that passes, and from which on, or a worst one, nothing is a drop."""
+
 _PERSPECTIVE = 1.4
-_REPEATED = 0.05
-_STEP_PX, _SAME_PX = 1.5, 0.02
+"""Two standard deviations of its prior."""
+
+_REPEATED, _STEP_PX, _SAME_PX = 0.05, 1.5, 0.02
+"""Fraction of repeated pictures that passes: the ball should move by the step, and did not move."""
+
 _CLOCK = 12.0
+"""Log likelihood ratio: of 120 tries chance alone reaches about 5."""
+
 _GROWS, _PERSPECTIVES_APART = 0.2, 0.2
+"""Fraction of a size, and difference of k, that pass: light changes a ball's outline."""
+
 _SDS = 4.0
+"""Standard errors that are allowed on top of a threshold."""
+
 _FEWEST_FLIGHTS = 2
+"""The first alone has no other to be compared with."""
+
+_BY_DROP_HEIGHT, _BY_DIAMETER = 1.3, 1.8
+"""Factors that a known length may be off: a diameter in the picture is blurred."""
+
+_MOMENTS, _EDGE = 60, 3
+"""Moments at which a jump is looked for, and samples to either end where none can be told."""
+
+_FEWEST = 12
+"""Samples for a test of clock or size."""
+
+_AT_REST = 1.0
+"""Fall times of a rest whose sizes count."""
 
 
 def film_checks(film: FilmedDrop) -> list[Check]:
     """What speaks for and against a track as a drop's."""
-    fit = film.projection
-    span = fit.span_px
-    left = np.abs(film.best.left_px) / span
-    residual, worst = fit.residual_px / span, float(np.quantile(left, 0.98))
+    span = film.projection.span_px
+    residual = film.projection.residual_rms_px / span
+    worst = float(np.quantile(np.abs(film.best.residuals_px) / span, 0.98))
     seen, repeated = _seen(film), _repeated(film)
-    gain, moment_s = clock_doubt(film.best)
+    gain, moment_s = clock_test(film.best)
     return [
         Check(
             "large enough",
@@ -56,8 +91,7 @@ def film_checks(film: FilmedDrop) -> list[Check]:
         Check(
             "pictures differ",
             repeated < _REPEATED,
-            f"{100 * repeated:.0f} % show the moving ball where it was (at most "
-            f"{100 * _REPEATED:.0f})",
+            f"{100 * repeated:.0f} % show the moving ball unmoved (at most {100 * _REPEATED:.0f})",
             advice="record at a rate that the camera keeps",
         ),
         Check(
@@ -102,6 +136,7 @@ def hop_check(film: FilmedDrop, restitution: float) -> Check:
 
 
 def _distance_checks(film: FilmedDrop) -> list[Check]:
+    """Of the perspective, and of the ball's size where that is seen."""
     fit, track = film.projection, film.track
     checks = [
         Check(
@@ -112,23 +147,23 @@ def _distance_checks(film: FilmedDrop) -> list[Check]:
         )
     ]
     along = -(track.places_px[film.used] @ film.down_px)
-    doubt = size_doubt(film.drop.seconds, along, track.radius_px[film.used], fit)
-    if doubt is None:
+    trend = size_trend(film.drop.seconds, along, track.radius_px[film.used], fit)
+    if trend is None:
         return checks
-    most = _GROWS + _SDS * doubt.grows_sd
-    apart = _PERSPECTIVES_APART + _SDS * doubt.perspective_sd
+    most = _GROWS + _SDS * trend.grows_sd
+    apart = _PERSPECTIVES_APART + _SDS * trend.perspective_sd
     return [
         *checks,
         Check(
             "keeps its distance",
-            abs(doubt.grows) < most,
-            f"grows by {100 * doubt.grows:+.0f} % (at most {100 * most:.0f} either way)",
+            abs(trend.grows) < most,
+            f"grows by {100 * trend.grows:+.0f} % (at most {100 * most:.0f} either way)",
             advice="let go without pushing or spinning the ball",
         ),
         Check(
             "size fits perspective",
-            abs(doubt.perspective) < apart,
-            f"perspective {doubt.perspective:+.2f} apart by the ball's size (at most {apart:.2f} "
+            abs(trend.perspective) < apart,
+            f"perspective {trend.perspective:+.2f} apart by the ball's size (at most {apart:.2f} "
             "either way)",
             advice="keep the camera still and the ball in one piece of light",
         ),
@@ -142,38 +177,34 @@ def scale_checks(
 
     A film that plays at another rate than it was filmed shows another gravity. The restitution is
     the same, the drop height and speeds are not. A length that nothing has (0, say, where somebody
-    did not measure) is not known.
+    did not measure) counts as unknown.
 
     Args:
         film: the drop.
         ball_diameter_m: as the log says.
         drop_height_m: as the log says; the more exact of the two.
     """
-    if _is_length(drop_height_m):
-        told_m, within = drop_height_m, 1.3
-    elif _is_length(ball_diameter_m):
+    if drop_height_m is not None and 0 < drop_height_m < np.inf:
+        known_m, within = drop_height_m, _BY_DROP_HEIGHT
+    elif ball_diameter_m is not None and 0 < ball_diameter_m < np.inf:
         diameter_px = 2 * float(np.nanmedian(film.track.radius_px[film.used]))
-        told_m, within = film.projection.span_px / diameter_px * ball_diameter_m, 1.8
+        known_m, within = film.projection.span_px / diameter_px * ball_diameter_m, _BY_DIAMETER
     else:
         return []
     by_time_m = film.drop.drop_height_m
     return [
         Check(
             "frame rate",
-            told_m / within < by_time_m < told_m * within,
-            f"falls {by_time_m:.2f} m by the clock, {told_m:.2f} m by the known size (wanted: "
+            known_m / within < by_time_m < known_m * within,
+            f"falls {by_time_m:.2f} m by the clock, {known_m:.2f} m by the known size (wanted: "
             f"within a factor {within}; or it is not that size)",
             advice="record slow motion with its true rate: tunenet-record --camera FILE --fps RATE",
         )
     ]
 
 
-def _is_length(meters: float | None) -> TypeGuard[float]:
-    return meters is not None and 0 < meters < np.inf
-
-
 def _seen(film: FilmedDrop) -> float:
-    """Share of the pictures, from mid-fall on for four fall times, in which the ball is found."""
+    """Fraction of the pictures, from mid-fall for four fall times, in which the ball is found."""
     fit = film.projection
     end_s = min(float(film.drop.seconds[-1]), fit.impact_s + _LOOKED_AT * fit.fall_time_s)
     origin_s = film.drop.seconds[0] - film.track.stamps_ns[film.used][0] * 1e-9
@@ -183,12 +214,101 @@ def _seen(film: FilmedDrop) -> float:
 
 
 def _repeated(film: FilmedDrop) -> float:
-    """Share of the pictures with a moving ball in which it has not moved at all."""
+    """Fraction of the pictures with a moving ball in which it has not moved at all."""
     fit, best = film.projection, film.best
-    places = best.samples.places_px
-    expected = np.abs(np.diff(places + best.left_px))
+    positions = best.samples.positions_px
+    expected = np.abs(np.diff(positions + best.residuals_px))
     whole = is_whole(film.track.places_px[film.used])  # then noise may hide a step
     moving = expected > (max(_STEP_PX, _SDS * best.samples.noise_px) if whole else _STEP_PX)
     moving &= fit.fall_times(best.samples.seconds[1:]) > -1
-    same = np.abs(np.diff(places)) < _SAME_PX
+    same = np.abs(np.diff(positions)) < _SAME_PX
     return float(np.mean(same[moving])) if np.count_nonzero(moving) > 3 else 0.0
+
+
+def clock_test(fit: FilmFit) -> tuple[float, float]:
+    """Whether the clock jumps, or goes at another rate, from some moment on.
+
+    By Rao's score test: one more unknown, linear about the fit, the best of all moments.
+
+    Args:
+        fit: of the drop.
+
+    Returns:
+        How much likelier that makes the track (logarithm), and the moment [s].
+    """
+    samples = fit.samples
+    seconds = samples.seconds
+    if len(seconds) < _FEWEST:
+        return 0.0, float(seconds[0])
+    known, _ = np.linalg.qr(samples.jacobian(fit.unknowns, SLOPED))
+    speed = -samples.jacobian(fit.unknowns, (IMPACT,))[:, 0]
+    every = max(1, len(seconds) // _MOMENTS)
+    moments = seconds[_EDGE:-_EDGE:every]
+    since = seconds[:, None] - moments
+    shifts = np.hstack([since > 0, np.maximum(since, 0.0)]) * speed[:, None]
+    new = shifts - known @ (known.T @ shifts)
+    power = np.maximum((new**2).sum(axis=0), 1e-9 * (shifts**2).sum(axis=0) + 1e-12)
+    gains = (new.T @ fit.residuals_px) ** 2 / power / fit.scale_px**2
+    gains = gains / fit.effective_sample_factor / 2
+    best = int(gains.argmax())
+    return float(gains[best]), float(moments[best % len(moments)])
+
+
+@dataclass(frozen=True)
+class SizeTrend:
+    """How the ball's size in the picture changes, beside what the fitted camera asks for.
+
+    Attributes:
+        grows: by what fraction from the first used picture to the last, at one height.
+        grows_sd: its standard error.
+        perspective: k by the ball's size less that by the fit.
+        perspective_sd: its standard error.
+    """
+
+    grows: float
+    grows_sd: float
+    perspective: float
+    perspective_sd: float
+
+
+def size_trend(
+    seconds: Array, along_px: Array, radius_px: Array, projection: Projection
+) -> SizeTrend | None:
+    """Reweighted least squares of log radius on height, time and speed; None for too few samples.
+
+    A ball at height u is 1 / (1 + (e^k - 1) u) as large as at contact; a long exposure draws it out
+    by its speed, which is therefore fitted too.
+
+    Args:
+        seconds: shape (T,).
+        along_px: positions along the image's vertical, shape (T,).
+        radius_px: shape (T,); NaN where it is not known.
+        projection: of the drop.
+    """
+    heights = np.clip(projection.heights(along_px), 0.0, 1.2)
+    times = projection.fall_times(seconds)
+    last = float(projection.impacts(float(seconds[-1]))[-1])
+    good = np.isfinite(radius_px) & (radius_px > 0) & (times > -1) & (times < last + _AT_REST)
+    if np.count_nonzero(good) < _FEWEST:
+        return None
+    nearly = projection.perspective or 1e-6
+    depth = np.log1p(np.expm1(nearly) * heights) / nearly
+    speed = np.abs(np.gradient(along_px, seconds))
+    speed = speed / max(float(speed.max()), 1e-9)
+    length = float(np.ptp(times[good]))
+    columns = np.column_stack([np.ones(len(times)), depth, times / length, speed])[good]
+    sizes = np.log(radius_px[good])
+    weights = np.ones(len(sizes))
+    found, spread = np.zeros(columns.shape[1]), 0.0
+    for _ in range(5):
+        found = np.linalg.lstsq(columns * weights[:, None], sizes * weights, rcond=None)[0]
+        residuals = sizes - columns @ found
+        spread = 1.4826 * float(np.median(np.abs(residuals))) + 1e-6
+        weights = 1 / np.sqrt(1 + (residuals / spread / 2) ** 2)
+    sds = spread * np.sqrt(np.diag(np.linalg.pinv(columns.T @ columns)))
+    return SizeTrend(
+        grows=float(found[2]),
+        grows_sd=float(sds[2]),
+        perspective=float(-found[1] - projection.perspective),
+        perspective_sd=float(sds[1]),
+    )

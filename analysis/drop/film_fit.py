@@ -1,79 +1,92 @@
 """A bounce fitted to a track: the ball in closed form, the camera a projective map.
 
-Unknown are the restitution e, the first impact, the fall time T0, the contact's place A, the span
-B, the perspective k, and, where asked for, the slope p of the restitution or the air's drag.
+Unknown are the restitution e, the first impact, the fall time T0, the contact's position A, the
+span B, the perspective k, and, where asked for, the slope p of the restitution or the air's drag.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from analysis.drop.projection import Projection, projected
-from recorders.simulators.bounce import Bounce
+from analysis.drop.bounce_fit import SLOPE_SD
+from analysis.drop.projection import PERSPECTIVE_SD, Projection, projected
+from recorders.simulators.closed_form.bounce import Bounce
 from tunenet_logs.arrays import Array
 
 RESTITUTION, IMPACT, FALL, CONTACT, SPAN, PERSPECTIVE, SLOPE, DRAG = range(8)
-"""Places of the unknowns: e, t1 [s], log T0, A [px], B [px], k, p, drag times drop height."""
+"""Indices of the unknowns: e, t1 [s], log T0, A [px], B [px], k, p, drag times drop height."""
 
 IDEAL = (RESTITUTION, IMPACT, FALL, CONTACT, SPAN, PERSPECTIVE)
 SLOPED = (*IDEAL, SLOPE)
 DRAGGED = (*IDEAL, DRAG)
 """What is fitted of a ball that keeps its restitution, that does not, that the air slows."""
 
-PRIORS_SD = {PERSPECTIVE: 0.7, SLOPE: 0.1, DRAG: 0.2}
-"""Of k, from the camera poses that people use; of p and of the drag, from the balls."""
+PRIORS_SD = {PERSPECTIVE: PERSPECTIVE_SD, SLOPE: SLOPE_SD, DRAG: 0.2}
+"""Normal about 0. Of the drag times drop height: a table-tennis ball has .2 from 1.5 m."""
 
 _FREEDOM = 8.0
+"""Degrees of freedom of Student's t: nearly normal; 10 standard deviations off, a tenth counts."""
+
 _LOW = np.array([0.005, -np.inf, -np.inf, -np.inf, 1.0, -2.5, -0.5, 0.0])
 _HIGH = np.array([1.0, np.inf, np.inf, np.inf, np.inf, 2.5, 0.5, 2.0])
+"""Of the unknowns, beyond what any ball or camera has."""
+
 _BENDS = 16
-"""Pieces of a drop in each of which what a lens bends is much the same."""
+"""Pieces of a drop in each of which a lens's distortion is much the same."""
 
 _OF_THE_BALL = (RESTITUTION, SLOPE, DRAG)
 _SHORT = 1e-5
+"""Of an unknown of the ball, or of time [fall times], by which it is differentiated."""
+
 _FARTHEST = 1.5
 """How far from its start a fall time or an impact may go: a factor e^1.5, 1.5 fall times."""
 
 _LEAST_DAMPING, _MOST_TRIES = 1e-9, 6
+"""Of Levenberg and Marquardt: damping below which a step is Gauss-Newton's, and dampings a step."""
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
+class TrackSamples:
     """What a fit is to explain.
 
     Attributes:
         seconds: shape (T,).
-        places_px: along the image's vertical, up positive, shape (T,).
-        noise_px: standard deviation of a place, at least.
-        bent: share of its square that is no noise but what a lens may bend.
+        positions_px: along the image's vertical, up positive, shape (T,).
+        noise_px: standard deviation of a position, at least.
+        distortion_variance_fraction: of its square, what is no noise but a lens's distortion.
         drag_1_s2: drag [1/m] that is known, times half the gravity: with T0^2 times it, the drag
             times the drop height.
         exposure_s: for which a shutter may have been open, around the time of a sample.
     """
 
     seconds: Array
-    places_px: Array
+    positions_px: Array
     noise_px: float
-    bent: float = 0.0
+    distortion_variance_fraction: float = 0.0
     drag_1_s2: float = 0.0
     exposure_s: float = 0.0
 
+    def part(self, first: int, last: int) -> TrackSamples:
+        """The samples from index `first` on, before `last`."""
+        seconds, positions_px = self.seconds[first:last], self.positions_px[first:last]
+        return replace(self, seconds=seconds, positions_px=positions_px)
+
     def bounce(self, unknowns: Array) -> Bounce:
-        """The ball of these unknowns."""
+        """The ball of these unknowns, shape (8,)."""
         known = self.drag_1_s2 * np.exp(2 * unknowns[FALL])
         drag = float(unknowns[DRAG] + known)
         return Bounce(float(unknowns[RESTITUTION]), float(unknowns[SLOPE]), drag)
 
-    def left_px(self, unknowns: Array) -> Array:
-        """What the ball and the camera of these unknowns leave, shape (T,)."""
+    def residuals_px(self, unknowns: Array) -> Array:
+        """Positions of the ball in the camera of these unknowns less those seen, shape (T,)."""
         heights = self.bounce(unknowns).heights(self.times(unknowns))
         shape = projected(heights, float(unknowns[PERSPECTIVE]))
-        return unknowns[CONTACT] + unknowns[SPAN] * shape - self.places_px
+        return unknowns[CONTACT] + unknowns[SPAN] * shape - self.positions_px
 
-    def slopes(self, unknowns: Array, free: tuple[int, ...]) -> Array:
-        """How what is left changes with each of the free unknowns, shape (T, len(free))."""
+    def jacobian(self, unknowns: Array, free: tuple[int, ...]) -> Array:
+        """Of the residuals over the free unknowns, shape (T, len(free))."""
         times = self.times(unknowns)
         heights = self.bounce(unknowns).heights(times)
         grow = float(np.exp(unknowns[PERSPECTIVE]))
@@ -84,20 +97,19 @@ class Samples:
             SPAN: grow * heights / depth,
             PERSPECTIVE: px_per_height * heights * (1 - heights),
         }
-        for one in free:
-            if one in _OF_THE_BALL:
-                moved = unknowns.copy()
-                moved[one] += _SHORT if unknowns[one] < _HIGH[one] - _SHORT else -_SHORT
-                rise = self.bounce(moved).heights(times) - heights
-                columns[one] = px_per_height * rise / (moved[one] - unknowns[one])
+        for index in set(free).intersection(_OF_THE_BALL):
+            moved = unknowns.copy()
+            moved[index] += _SHORT if unknowns[index] < _HIGH[index] - _SHORT else -_SHORT
+            rise = self.bounce(moved).heights(times) - heights
+            columns[index] = px_per_height * rise / (moved[index] - unknowns[index])
         if IMPACT in free or FALL in free:
             speeds = (self.bounce(unknowns).heights(times + _SHORT) - heights) / _SHORT
             columns[IMPACT] = -px_per_height * speeds / np.exp(unknowns[FALL])
             columns[FALL] = -px_per_height * speeds * times
-        return np.column_stack([columns[one] for one in free])
+        return np.column_stack([columns[index] for index in free])
 
     def times(self, unknowns: Array) -> Array:
-        """Of the samples [fall times after the first impact]."""
+        """Of the samples [fall times after the first impact], shape (T,)."""
         return (self.seconds - unknowns[IMPACT]) / np.exp(unknowns[FALL])
 
 
@@ -106,35 +118,37 @@ class FilmFit:
     """A fitted track.
 
     Attributes:
+        samples: what was fitted.
         unknowns: shape (8,), see `RESTITUTION`.
         free: which of them were fitted.
-        left_px: what is left, shape (T,).
-        scale_px: robust standard deviation of it, not below the samples' noise.
+        residuals_px: shape (T,).
+        scale_px: robust standard deviation of them, not below the samples' noise.
     """
 
-    samples: Samples
+    samples: TrackSamples
     unknowns: Array
     free: tuple[int, ...]
-    left_px: Array
+    residuals_px: Array
     scale_px: float
 
     @property
-    def worth(self) -> float:
-        """How many samples are worth one where a lens bends the picture: that is no noise."""
-        return 1 + self.samples.bent * max(len(self.left_px) / _BENDS - 1, 0.0)
+    def effective_sample_factor(self) -> float:
+        """How many samples count as one where a lens distorts the picture: that is no noise."""
+        most = max(len(self.residuals_px) / _BENDS - 1, 0.0)
+        return 1 + self.samples.distortion_variance_fraction * most
 
     @property
-    def nearly_worst_px(self) -> float:
-        """What 9 of 10 samples lie within, as a standard deviation."""
-        return float(np.quantile(np.abs(self.left_px), 0.9)) / 1.645
+    def tail_sd_px(self) -> float:
+        """Standard deviation by what 9 of 10 residuals lie within."""
+        return float(np.quantile(np.abs(self.residuals_px), 0.9)) / 1.645
 
     def cost(self, scale_px: float) -> float:
-        """Minus the log posterior density, but for what all fits to the samples share."""
-        return _cost(self.left_px, self.unknowns, scale_px, self.free)
+        """Minus the log posterior density, but for what all fits to the samples have in common."""
+        return _cost(self.residuals_px, self.unknowns, scale_px, self.free)
 
     def projection(self) -> Projection:
-        """In words."""
-        values = [float(one) for one in self.unknowns]
+        """The unknowns by their names."""
+        values = self.unknowns.tolist()
         return Projection(
             contact_px=values[CONTACT],
             span_px=values[SPAN],
@@ -142,86 +156,89 @@ class FilmFit:
             impact_s=values[IMPACT],
             fall_time_s=float(np.exp(values[FALL])),
             bounce=self.samples.bounce(self.unknowns),
-            residual_px=float(np.sqrt(np.mean(self.left_px**2))),
-            worst_px=float(np.abs(self.left_px).max()),
+            residual_rms_px=float(np.sqrt(np.mean(self.residuals_px**2))),
+            residual_max_px=float(np.abs(self.residuals_px).max()),
         )
 
 
 def fit_film(
-    samples: Samples,
+    samples: TrackSamples,
     start: Array,
     free: tuple[int, ...],
     most: int = 30,
     gain: float = 1e-6,
     scale_px: float | None = None,
 ) -> FilmFit:
-    """Robust least squares (Student's t of 8) by Levenberg and Marquardt's steps.
+    """Robust least squares: Student's t by reweighting (Lange et al. 1989), Levenberg-Marquardt.
+
+    The priors of `PRIORS_SD` are part of the cost: what is found is the posterior's mode.
 
     Args:
         samples: what to explain.
         start: all unknowns, shape (8,).
         free: which of them to fit.
-        most: steps.
-        gain: in cost that ends them.
-        scale_px: standard deviation of a place; None to find it as well.
+        most: iterations.
+        gain: in cost a sample that ends them.
+        scale_px: standard deviation of a position; None to estimate it after each iteration.
     """
-    low, high = _bounds(start)
+    low, high = _LOW.copy(), _HIGH.copy()
+    for index, reach in ((FALL, _FARTHEST), (IMPACT, _FARTHEST * float(np.exp(start[FALL])))):
+        low[index], high[index] = start[index] - reach, start[index] + reach
     unknowns = np.clip(start, low, high)
-    left = samples.left_px(unknowns)
-    scale = scale_px or _scale(left, samples.noise_px)
-    cost = _cost(left, unknowns, scale, free)
+    residuals = samples.residuals_px(unknowns)
+    scale = scale_px or _scale(residuals, samples.noise_px)
+    cost = _cost(residuals, unknowns, scale, free)
     damping = 1e-3
     for _ in range(most):
-        normal, pull = _normal(samples, unknowns, left, scale, free)
+        normal, gradient = _normal_equations(samples, unknowns, residuals, scale, free)
         before = cost
         for _ in range(_MOST_TRIES):
             tried = unknowns.copy()
-            held = normal + damping * np.diag(np.diag(normal) + 1e-12)
-            tried[list(free)] += np.linalg.lstsq(held, pull, rcond=None)[0]
+            damped = normal + damping * np.diag(np.diag(normal) + 1e-12)
+            tried[list(free)] += np.linalg.lstsq(damped, gradient, rcond=None)[0]
             tried = np.clip(tried, low, high)
-            tried_left = samples.left_px(tried)
-            tried_cost = _cost(tried_left, tried, scale, free)
+            tried_residuals = samples.residuals_px(tried)
+            tried_cost = _cost(tried_residuals, tried, scale, free)
             if tried_cost < cost:
-                unknowns, left, cost = tried, tried_left, tried_cost
+                unknowns, residuals, cost = tried, tried_residuals, tried_cost
                 damping = max(damping / 10, _LEAST_DAMPING)
                 break
             damping *= 10
         gained = before - cost
-        new = scale_px or _scale(left, samples.noise_px)
-        settled = gained < gain * len(left) and abs(new / scale - 1) < 0.01
-        scale, cost = new, _cost(left, unknowns, new, free)
+        new = scale_px or _scale(residuals, samples.noise_px)
+        settled = gained < gain * len(residuals) and abs(new / scale - 1) < 0.01
+        scale, cost = new, _cost(residuals, unknowns, new, free)
         if settled:
             break
-    return FilmFit(samples, unknowns, free, left, scale)
+    return FilmFit(samples, unknowns, free, residuals, scale)
 
 
-def _bounds(start: Array) -> tuple[Array, Array]:
-    low, high = _LOW.copy(), _HIGH.copy()
-    reach = {FALL: _FARTHEST, IMPACT: _FARTHEST * float(np.exp(start[FALL]))}
-    for one, far in reach.items():
-        low[one], high[one] = start[one] - far, start[one] + far
-    return low, high
-
-
-def _normal(
-    samples: Samples, unknowns: Array, left: Array, scale: float, free: tuple[int, ...]
+def _normal_equations(
+    samples: TrackSamples,
+    unknowns: Array,
+    residuals: Array,
+    scale: float,
+    free: tuple[int, ...],
 ) -> tuple[Array, Array]:
-    slopes = samples.slopes(unknowns, free)
-    weights = (_FREEDOM + 1) / (_FREEDOM + (left / scale) ** 2) / scale**2
-    normal = slopes.T @ (weights[:, None] * slopes)
-    pull = -slopes.T @ (weights * left)
-    for at, one in enumerate(free):
-        if one in PRIORS_SD:
-            normal[at, at] += PRIORS_SD[one] ** -2
-            pull[at] -= unknowns[one] * PRIORS_SD[one] ** -2
-    return normal, pull
+    """Of the reweighted samples and the priors: the matrix, and minus the cost's gradient."""
+    jacobian = samples.jacobian(unknowns, free)
+    weights = (_FREEDOM + 1) / (_FREEDOM + (residuals / scale) ** 2) / scale**2
+    normal = jacobian.T @ (weights[:, None] * jacobian)
+    gradient = -jacobian.T @ (weights * residuals)
+    for at, index in enumerate(free):
+        if index in PRIORS_SD:
+            normal[at, at] += PRIORS_SD[index] ** -2
+            gradient[at] -= unknowns[index] * PRIORS_SD[index] ** -2
+    return normal, gradient
 
 
-def _scale(left: Array, noise_px: float) -> float:
-    return max(noise_px, 1.4826 * float(np.median(np.abs(left))))
+def _scale(residuals: Array, noise_px: float) -> float:
+    """Standard deviation by the median of the moduli, not below the noise."""
+    return max(noise_px, 1.4826 * float(np.median(np.abs(residuals))))
 
 
-def _cost(left: Array, unknowns: Array, scale: float, free: tuple[int, ...]) -> float:
-    robust = 0.5 * (_FREEDOM + 1) * np.log1p((left / scale) ** 2 / _FREEDOM).sum()
-    prior = sum((unknowns[one] / PRIORS_SD[one]) ** 2 for one in free if one in PRIORS_SD)
-    return float(robust + len(left) * np.log(scale) + 0.5 * prior)
+def _cost(residuals: Array, unknowns: Array, scale: float, free: tuple[int, ...]) -> float:
+    """Minus the log posterior density: Student's t and normal priors."""
+    robust = 0.5 * (_FREEDOM + 1) * np.log1p((residuals / scale) ** 2 / _FREEDOM).sum()
+    prior = sum((unknowns[index] / sd) ** 2 for index, sd in PRIORS_SD.items() if index in free)
+    return float(robust + len(residuals) * np.log(scale) + 0.5 * prior)

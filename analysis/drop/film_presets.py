@@ -15,12 +15,12 @@ from analysis.drop.presets import (
     PAPER_RESTITUTION,
     PAPERS_TEXT,
 )
-from analysis.experiment import Preset
-from analysis.tracking.projected import projected_track
+from analysis.drop.projected_track import projected_track
+from analysis.experiment import Preset, Training
 from analysis.tunenet.checkpoint import Purpose
 from analysis.tunenet.network import AntisymmetricNetwork, PaperNetwork
 from analysis.tunenet.pairs import PairSet, consecutive_pairs, cross_pairs, observe_all
-from recorders.simulators.bounce import Bounce
+from recorders.simulators.closed_form.bounce import Bounce
 from recorders.simulators.contact import CALIBRATED, PAPER
 from recorders.simulators.drop import RESTITUTION, TOPIC, DropRig, DropSimulator
 from recorders.simulators.pinhole import PinholeCamera, random_camera
@@ -33,6 +33,7 @@ PAPER_SIZE_PX = (100, 100)
 _PAPER_FOV_DEG = 60.0
 _PAPER_NOISE_PX = 0.2
 _PAPER_PAIRS = 800
+"""The TuneNet paper's pictures and pairs; at 60 degrees hardly any drop leaves the picture."""
 
 _RATES_HZ = (30.0, 60.0, 120.0, 240.0)
 _GAP_M = (0.2, 2.5)
@@ -40,11 +41,13 @@ _RADIUS_M = 0.03
 _SIZES_PX = ((320, 240), (640, 480), (240, 320))
 _FOV_DEG = (30.0, 75.0)
 _NOISE_PX = (0.03, 0.6)
-_LOST_SHARE = 0.1
+_LOST_FRACTION = 0.1
 _STEEPEST = 0.2
-_SIMULATED = 1024
-_FILMED = 768
-_PAIRS = 51_200
+"""Cameras, drops and tracks to train for, wider than what people film: rates, drop heights, ball,
+picture sizes, fields of view, noise, most pictures without the ball, steepest slope."""
+
+_SIMULATED, _FILMED, _PAIRS = 1024, 768, 51_200
+"""Rollouts of either kind, and pairs that are drawn among them: a film takes longer to make."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +94,7 @@ def film_of(plan: FilmPlan, simulator: DropSimulator) -> FilmedDrop | None:
     episode = simulator.with_rig(plan.rig).rollout({RESTITUTION.name: plan.restitution})
     if plan.slope:
         episode = _real_ball(episode, plan)
-    track = projected_track(episode, camera, noise_px, rng.random() * _LOST_SHARE, rng)
+    track = projected_track(episode, camera, noise_px, rng.random() * _LOST_FRACTION, rng)
     try:
         return find_filmed_drop(track, plan.rig.start_ns)
     except NotFoundError:
@@ -208,8 +211,8 @@ def _paper_pairs(count: int | None, seed: int, jobs: int | None, progress: Progr
     return PairSet(observations, values, *consecutive_pairs(count))
 
 
-PRESETS = {
-    "default": Preset(
+TRAININGS = {
+    "default": Training(
         Purpose(
             task="drop-video",
             preset="default",
@@ -222,9 +225,8 @@ PRESETS = {
         AntisymmetricNetwork(),
         OUR_TRAINING,
         _canonical_pairs,
-        physical=True,
     ),
-    "paper": Preset(
+    "paper": Training(
         Purpose(
             task="drop-video",
             preset="paper",
@@ -237,6 +239,10 @@ PRESETS = {
         PaperNetwork(),
         PAPERS_TEXT,
         _paper_pairs,
-        physical=False,
     ),
+}
+
+PRESETS = {
+    "default": Preset(True, "tunenet+refine", TRAININGS["default"]),
+    **{name: Preset(False, "tunenet", TRAININGS[name]) for name in TRAININGS if name != "default"},
 }

@@ -18,44 +18,59 @@ from analysis.drop.film_fit import (
     SLOPE,
     SPAN,
     FilmFit,
-    Samples,
+    TrackSamples,
     fit_film,
 )
-from analysis.drop.film_windows import bounces_end, fall_start, film_impacts, held_start
-from analysis.drop.initial_grid import bank_starts
-from analysis.drop.projection import Projection
+from analysis.drop.film_start import bounces_end, fall_start, film_impacts, grid_starts
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import NotFoundError
 
 Balls = Sequence[tuple[int, ...]]
+"""Free unknowns of each kind of ball that is fitted."""
 
 FEWEST_SAMPLES = 12
+"""For six unknowns and a noise."""
+
 _MOST_IMPACTS = 6
+"""Of a fit: a later bounce is too low to say more, and one law holds less well for it."""
+
 _MOST_CANDIDATES = 6
-_FALL_SHARES = (0.96, 0.8, 0.6)
+"""Impacts that may be the first of a drop: what moves before it is a hand's."""
+
+_FALL_FRACTIONS = (0.96, 0.8, 0.6)
+"""Lower parts of a descent that are tried as its free fall, the largest first."""
+
 _STARTS = 6
 _ROUGHLY = (10, 1e-4)
+"""Points of the grid that are fitted from (the best alone ends in the wrong minimum at times), and
+iterations and gain in cost that end those fits, which are only compared."""
+
 _FEWEST = 4
+"""TrackSamples of a fall, and of what follows it."""
+
 _REST_SEEN = 2.0
-_USUAL = {SLOPE: 0.08, DRAG: 0.05}
-_SLIGHT = 0.2
-"""Of a usual law."""
+"""Fall times of a rest that are fitted: more of them would only repeat the contact's position."""
+
+_USUAL, _SLIGHT = {SLOPE: 0.08, DRAG: 0.05}, 0.2
+"""Where the fit of a law begins: what most balls have, and a fraction of that for a second fit."""
 
 _SHAPE, _SAME = (RESTITUTION, FALL, PERSPECTIVE), np.array([0.01, 0.02, 0.05])
 """By how much starts differ that may lead to different ends."""
 
 _CLEARLY = 3.0
-"""Log likelihood that another ball than the ideal one has to gain."""
+"""Log likelihood that another ball than the ideal one has to gain: 20 to 1."""
 
 _LITTLE, _EXACT = 0.004, 0.001
-"""Of the fall: how far off the samples may be beyond noise, of all flights, and of the first."""
+"""Fractions of the fall: residuals beyond noise that pass, of all flights, and of the first."""
 
-_DROP, _HOPELESS = 0.05, 0.12
-"""Of the fall, rms: more is no drop, and more in a rough fit becomes none."""
+_NO_DROP, _HOPELESS = 0.05, 0.12
+"""Fractions of the fall, rms: more is no drop, and more in a rough fit becomes none."""
 
 _STEEP = 0.25
+"""A slope beyond those of real balls."""
+
 _HELD, _AT_RELEASE = 1.5, 0.05
-"""Fall times before the impact, from which on a ball is where it is let go, to that share."""
+"""Fall times before the impact, from which on a ball is where it is let go, to that fraction."""
 
 _ENDLESS = 0.995
 """A restitution that no ball has."""
@@ -79,45 +94,47 @@ def best_of(fits: Sequence[FilmFit]) -> FilmFit:
     return min(fits, key=lambda fit: fit.cost(scale))
 
 
-def told_by(fits: Sequence[FilmFit]) -> FilmFit:
+def preferred_fit(fits: Sequence[FilmFit]) -> FilmFit:
     """The ideal ball's fit, the first one, unless another explains clearly more."""
     ideal, best = fits[0], best_of(fits)
     scale = min(fit.scale_px for fit in fits)
-    gained = (ideal.cost(scale) - best.cost(scale)) / best.worth
+    gained = (ideal.cost(scale) - best.cost(scale)) / best.effective_sample_factor
     return best if gained > _CLEARLY else ideal
 
 
-def find_fits(whole: Samples, balls: Balls) -> FilmFits:
+def find_fits(whole: TrackSamples, balls: Balls) -> FilmFits:
     """The fits from the first impact that may be the first one.
 
     Raises:
         NotFoundError: from none of them on the track is a drop's.
     """
-    impacts = film_impacts(whole.seconds, whole.places_px, whole.noise_px)
-    span = float(np.ptp(whole.places_px))
-    found: list[FilmFits] = []
+    impacts = film_impacts(whole.seconds, whole.positions_px, whole.noise_px)
+    span = float(np.ptp(whole.positions_px))
+    fitted = False
+    plausible: list[FilmFits] = []
     for at in range(min(len(impacts), _MOST_CANDIDATES)):
         fits = _fits_from(whole, impacts[at:], balls)
         if not fits.balls:
             continue
-        found.append(fits)
-        if _good(fits.balls) and _plausible(best_of(fits.balls), span):
-            break
-    plausible = [fits for fits in found if _plausible(best_of(fits.balls), span)]
+        fitted = True
+        if _plausible(best_of(fits.balls), span):
+            plausible.append(fits)
+            if _good(fits.balls):
+                break
     if not plausible:
-        raise NotFoundError(_why_not(whole, impacts, bool(found)))
-    return min(plausible, key=lambda one: 0.0 if _good(one.balls) else _misfit(one.balls))
+        raise NotFoundError(_why_not(whole, impacts, fitted))
+    return min(plausible, key=lambda fits: 0.0 if _good(fits.balls) else _misfit(fits.balls))
 
 
-def _fits_from(whole: Samples, impacts: Sequence[int], balls: Balls) -> FilmFits:
+def _fits_from(whole: TrackSamples, impacts: Sequence[int], balls: Balls) -> FilmFits:
     """The fits if the first of these is the first impact; none where no fall is seen before."""
-    index, last = impacts[0], bounces_end(whole.seconds, whole.places_px, impacts)
+    index, last = impacts[0], bounces_end(whole.seconds, whole.positions_px, impacts)
     best: tuple[FilmFit, ...] = ()
-    for share in _FALL_SHARES:
-        first = fall_start(whole.places_px, index, share, whole.noise_px)
+    for fraction in _FALL_FRACTIONS:
+        first = fall_start(whole.positions_px, index, fraction, whole.noise_px)
         if index - first < _FEWEST or last - index < _FEWEST:
             continue
-        rough = _rough_fits(_part(whole, first, last), float(whole.seconds[index]))
+        rough = _rough_fits(whole.part(first, last), float(whole.seconds[index]))
         if not rough:
             continue
         fits = _finished(whole, rough, balls) if _rms(rough[0]) < _HOPELESS else (rough[0],)
@@ -129,7 +146,7 @@ def _fits_from(whole: Samples, impacts: Sequence[int], balls: Balls) -> FilmFits
 
 
 def _of_first_flights(
-    whole: Samples, impacts: Sequence[int], fits: tuple[FilmFit, ...], balls: Balls
+    whole: TrackSamples, impacts: Sequence[int], fits: tuple[FilmFit, ...], balls: Balls
 ) -> FilmFits:
     """The fits to as many flights as one law explains, or those to all if it explains none.
 
@@ -141,59 +158,49 @@ def _of_first_flights(
         end = impacts[flights]
         if whole.seconds[end] >= end_s or end - impacts[0] < _FEWEST:
             continue
-        begun = _part(whole, 0, end)
-        rough = _rough_fits(_part(begun, first, end), float(whole.seconds[impacts[0]]))
+        begun = whole.part(0, end)
+        rough = _rough_fits(begun.part(first, end), float(whole.seconds[impacts[0]]))
         shorter = _finished(begun, rough, balls) if rough else ()
         if shorter and _good(shorter, _EXACT) and _is_usual(whole, best_of(shorter)):
             return FilmFits(shorter, flights)
     return FilmFits(fits)
 
 
-def left_out(whole: Samples, chosen: Projection) -> int:
-    """How many impacts are seen before the chosen one, each after a deeper fall."""
-    before = int(np.searchsorted(whole.seconds, chosen.impact_s - chosen.fall_time_s / 4))
-    return len(_deep_falls(_part(whole, 0, before), 1.1 * chosen.span_px))
-
-
-def later_impacts_s(whole: Samples, chosen: FilmFit) -> tuple[float, ...]:
-    """The first impacts of what may be more drops."""
-    after = int(np.searchsorted(whole.seconds, chosen.samples.seconds[-1]))
-    rest = _part(whole, after, len(whole.seconds))
-    return tuple(_deep_falls(rest, 0.8 * float(chosen.unknowns[SPAN])))
-
-
-def _deep_falls(samples: Samples, least_px: float) -> list[float]:
-    """When falls of so many pixels end in an impact [s]."""
-    seconds, places = samples.seconds, samples.places_px
+def deep_falls_s(samples: TrackSamples, least_px: float) -> list[float]:
+    """When falls of at least `least_px` end in an impact [s]."""
+    seconds, positions = samples.seconds, samples.positions_px
     if len(seconds) < FEWEST_SAMPLES:
         return []
-    impacts = film_impacts(seconds, places, samples.noise_px)
+    impacts = film_impacts(seconds, positions, samples.noise_px)
     begins = [0, *impacts]
     return [
         float(seconds[at])
         for begin, at in zip(begins, impacts, strict=False)
-        if places[begin : at + 1].max() - places[at] > least_px
+        if positions[begin : at + 1].max() - positions[at] > least_px
     ]
 
 
-def _rough_fits(samples: Samples, impact_s: float) -> list[FilmFit]:
-    """From the best points of the bank, best first."""
-    bank = bank_starts(samples.seconds, samples.places_px, impact_s, _STARTS)
-    fits = [fit_film(samples, start, IDEAL, *_ROUGHLY) for _, start in bank]
+def _rough_fits(samples: TrackSamples, impact_s: float) -> list[FilmFit]:
+    """Of the ideal ball from the best points of the grid, best first."""
+    starts = grid_starts(samples.seconds, samples.positions_px, impact_s, _STARTS)
+    fits = [fit_film(samples, start, IDEAL, *_ROUGHLY) for start in starts]
     scale = min((fit.scale_px for fit in fits), default=1.0)
     return sorted(fits, key=lambda fit: fit.cost(scale))
 
 
-def _finished(whole: Samples, rough: list[FilmFit], balls: Balls) -> tuple[FilmFit, ...]:
+def _finished(whole: TrackSamples, rough: list[FilmFit], balls: Balls) -> tuple[FilmFit, ...]:
     """All balls, fitted to the bounces that count and to the ball before it was let go."""
-    starts = _apart([fit.unknowns for fit in rough[:3]])
+    starts: list[Array] = []
+    for start in (fit.unknowns for fit in rough[:3]):  # without those that lead to the same end
+        if not any(np.all(np.abs(start - kept)[list(_SHAPE)] < _SAME) for kept in starts):
+            starts.append(start)
     real = best_of([_from_any(rough[0].samples, starts, ball, *_ROUGHLY) for ball in balls])
     samples = _counting(whole, real)
     real = _from_any(samples, [real.unknowns], real.free)
     samples = _with_held(whole, real)
     if samples is not real.samples:
         held = fit_film(samples, real.unknowns, real.free)
-        if held.nearly_worst_px < 1.5 * max(real.nearly_worst_px, whole.noise_px):
+        if held.tail_sd_px < 1.5 * max(real.tail_sd_px, whole.noise_px):
             real = held
     samples = _sharp(real)
     ideal = _from_any(samples, [real.unknowns, rough[0].unknowns], IDEAL)
@@ -201,17 +208,8 @@ def _finished(whole: Samples, rough: list[FilmFit], balls: Balls) -> tuple[FilmF
     return (ideal, *(_from_any(samples, starts, ball) for ball in balls))
 
 
-def _apart(starts: Sequence[Array]) -> list[Array]:
-    """Without those that another one before them leads to the same end as."""
-    kept: list[Array] = []
-    for start in starts:
-        if not any(np.all(np.abs(start - one)[list(_SHAPE)] < _SAME) for one in kept):
-            kept.append(start)
-    return kept
-
-
 def _from_any(
-    samples: Samples,
+    samples: TrackSamples,
     starts: Sequence[Array],
     free: tuple[int, ...],
     most: int = 30,
@@ -223,16 +221,16 @@ def _from_any(
     """
     fits = []
     for start in starts:
-        laws = [one for one in _USUAL if one in free and not start[one]]
-        for share in (1.0, _SLIGHT) if laws else (1.0,):
+        unset = any(law in free and not start[law] for law in _USUAL)
+        for fraction in (1.0, _SLIGHT) if unset else (1.0,):
             begin = start.copy()
-            for one, usual in _USUAL.items():
-                begin[one] = (begin[one] or share * usual) if one in free else 0.0
+            for law, usual in _USUAL.items():
+                begin[law] = (begin[law] or fraction * usual) if law in free else 0.0
             fits.append(fit_film(samples, begin, free, most, gain))
     return best_of(fits)
 
 
-def _counting(whole: Samples, fit: FilmFit) -> Samples:
+def _counting(whole: TrackSamples, fit: FilmFit) -> TrackSamples:
     """Without the bounces after the sixth, and without most of a rest."""
     impact_s, fall_s = float(fit.unknowns[IMPACT]), float(np.exp(fit.unknowns[FALL]))
     seconds = fit.samples.seconds
@@ -245,10 +243,10 @@ def _counting(whole: Samples, fit: FilmFit) -> Samples:
     first = int(np.searchsorted(whole.seconds, seconds[0]))
     end_s = min(impact_s + fall_s * (end + _REST_SEEN), float(seconds[-1]))
     last_at = int(np.searchsorted(whole.seconds, end_s, side="right"))
-    return _part(whole, first, last_at) if last_at - first > FEWEST_SAMPLES else fit.samples
+    return whole.part(first, last_at) if last_at - first > FEWEST_SAMPLES else fit.samples
 
 
-def _with_held(whole: Samples, fit: FilmFit) -> Samples:
+def _with_held(whole: TrackSamples, fit: FilmFit) -> TrackSamples:
     """With the samples just before the fall in which the ball is where it is let go."""
     first = int(np.searchsorted(whole.seconds, fit.samples.seconds[0]))
     fall_s = float(np.exp(fit.unknowns[FALL]))
@@ -256,13 +254,17 @@ def _with_held(whole: Samples, fit: FilmFit) -> Samples:
     begin = int(np.searchsorted(whole.seconds, earliest))
     if first == begin:
         return fit.samples
-    left = _part(whole, begin, first).left_px(fit.unknowns)
-    held = begin + held_start(left, 4 * fit.scale_px)
+    residuals = whole.part(begin, first).residuals_px(fit.unknowns)
+    held, misses = first, 0
+    while held > begin and misses < 3:  # three in a row that are elsewhere: it is not held yet
+        held -= 1
+        misses = misses + 1 if abs(residuals[held - begin]) > 4 * fit.scale_px else 0
+    held = min(held + misses, first)
     last = first + len(fit.samples.seconds)
-    return fit.samples if first == held else _part(whole, held, last)
+    return fit.samples if first == held else whole.part(held, last)
 
 
-def _sharp(fit: FilmFit) -> Samples:
+def _sharp(fit: FilmFit) -> TrackSamples:
     """Without the pictures whose exposure an impact may be in: those show both of its sides."""
     samples, fall_s = fit.samples, float(np.exp(fit.unknowns[FALL]))
     times = samples.times(fit.unknowns)
@@ -273,38 +275,34 @@ def _sharp(fit: FilmFit) -> Samples:
     kept = (apart_s > samples.exposure_s / 2) | (times > impacts[-1])
     if np.count_nonzero(kept) < FEWEST_SAMPLES:
         return samples
-    return replace(samples, seconds=samples.seconds[kept], places_px=samples.places_px[kept])
-
-
-def _part(whole: Samples, first: int, last: int) -> Samples:
-    return replace(whole, seconds=whole.seconds[first:last], places_px=whole.places_px[first:last])
+    return replace(samples, seconds=samples.seconds[kept], positions_px=samples.positions_px[kept])
 
 
 def _misfit(fits: Sequence[FilmFit]) -> float:
-    """What the best ball leaves, as a share of the fall."""
-    return min(fit.nearly_worst_px / float(fit.unknowns[SPAN]) for fit in fits)
+    """Residuals of the best ball, as a fraction of the fall."""
+    return min(fit.tail_sd_px / float(fit.unknowns[SPAN]) for fit in fits)
 
 
 def _rms(fit: FilmFit) -> float:
-    """Of what is left, as a share of the fall."""
-    return float(np.sqrt(np.mean(fit.left_px**2)) / fit.unknowns[SPAN])
+    """Of the residuals, as a fraction of the fall."""
+    return float(np.sqrt(np.mean(fit.residuals_px**2)) / fit.unknowns[SPAN])
 
 
 def _good(fits: Sequence[FilmFit], little: float = _LITTLE) -> bool:
-    """Whether what is left is noise, or little of the fall."""
+    """Whether the residuals are noise, or little of the fall."""
     best = best_of(fits)
     noise = best.samples.noise_px / float(best.unknowns[SPAN])
     return _misfit(fits) < 1.5 * noise + little
 
 
-def _is_usual(whole: Samples, fit: FilmFit) -> bool:
+def _is_usual(whole: TrackSamples, fit: FilmFit) -> bool:
     """Whether a law is one that balls have, and lets go of the ball where it is seen held.
 
     Few flights are explained by many laws.
     """
     times = whole.times(fit.unknowns)
     held = (times > -_HELD) & (times < -1.0)
-    off = np.median(whole.left_px(fit.unknowns)[held]) if np.any(held) else 0.0
+    off = np.median(whole.residuals_px(fit.unknowns)[held]) if np.any(held) else 0.0
     return abs(fit.unknowns[SLOPE]) < _STEEP and abs(off) < _AT_RELEASE * fit.unknowns[SPAN]
 
 
@@ -314,10 +312,10 @@ def _plausible(fit: FilmFit, span_px: float) -> bool:
     after = float(seconds / np.exp(fit.unknowns[FALL]))
     size = abs(np.log(fit.unknowns[SPAN] / span_px))
     lasting = fit.unknowns[RESTITUTION] > _ENDLESS
-    return bool(after > 0.3 and size < 1.2 and _rms(fit) < _DROP and not lasting)
+    return bool(after > 0.3 and size < 1.2 and _rms(fit) < _NO_DROP and not lasting)
 
 
-def _why_not(whole: Samples, impacts: list[int], fitted: bool) -> str:
+def _why_not(whole: TrackSamples, impacts: list[int], fitted: bool) -> str:
     if not impacts:
         return (
             "no bounce is seen: the ball never falls onto anything in view; at the next drop: "

@@ -1,21 +1,31 @@
-"""Secant on the first flight's duration: what somebody does who knows balls."""
+"""Secant method on the first flight's duration: what somebody does who knows balls."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from analysis.drop.first_flight import first_flight_s
+from analysis.drop.free_fall import noise_of
 from analysis.drop.observations import CANONICAL_PER_FALL, canonical_axis
-from analysis.estimators.base import Problem, Trace
-from analysis.estimators.observation import Observation
-from analysis.estimators.search import Search
+from analysis.estimators.base import Estimator, Observation, Problem, Trace
+from analysis.estimators.search import Search, check_one_parameter
+from recorders.simulators.drop import RESTITUTION
+from tunenet_logs.arrays import Array
+from tunenet_logs.errors import NotFoundError
 
 _CLOSE = 1e-9
+"""Change of the restitution that ends a search: far below what any recording tells."""
+
 _LOW = 0.15
 """Below it a flight may be too short to be seen, and the cost has one minimum."""
 
+_MIN_SAMPLES = 4
+"""Of a fall, and of a flight: one more than a parabola has coefficients."""
 
-class Secant:
+_LOW_FRACTION = 0.3
+"""A flight is over below this fraction of its height: it is fitted up to there."""
+
+
+class FlightSecant(Estimator):
     """Changes the restitution until the simulated ball flies as long as the target's.
 
     The duration is nearly proportional to the restitution: the first step goes by that, the others
@@ -28,24 +38,27 @@ class Secant:
 
     def estimate(self, problem: Problem, rollouts: int) -> Trace:
         """The next place to look at, or the one of least cost; see `Estimator.estimate`."""
+        if check_one_parameter(problem, self.name) != RESTITUTION:
+            raise NotFoundError("the method secant compares flights: it is for drops alone")
         search = Search(problem, rollouts, keep_best=False)
         return search.run(lambda: _optimize(search, problem))
 
 
 def _optimize(search: Search, problem: Problem) -> None:
+    """The secant method; Brent's on the cost where durations lead no further."""
     wanted = _duration(problem.target)
-    (bounds,) = (one.bounds for one in problem.parameters)
+    (bounds,) = (parameter.bounds for parameter in problem.parameters)
     value, last = float(problem.initial[0]), None
     low, high = bounds[0], _LOW if wanted == 0 else 2 * _LOW
     while True:
-        look = search.evaluate(np.array([value]))
-        flown = _duration(look.observation)
+        evaluation = search.evaluate(np.array([value]))
+        flown = _duration(evaluation.observation)
         if flown > wanted:
             high = min(high, value)
         elif wanted > 0 and value < high:
             low = max(low, value)
         if _lost(wanted, (value, flown), last):
-            cost = float(np.linalg.norm(problem.misfit(look))) if value <= high else np.inf
+            cost = float(np.linalg.norm(problem.misfit(evaluation))) if value <= high else np.inf
             _least_cost(search, (low, high), cost)
             return
         slope = _slope((value, flown), last)
@@ -111,6 +124,7 @@ def _slope(here: tuple[float, float], last: tuple[float, float] | None) -> float
 
 
 def _duration(observation: Observation) -> float:
+    """Of the first flight, in the unit of the observation's axis."""
     seconds, heights = observation.axis, observation.values[:, 0]
     seen = np.isfinite(heights)
     seconds, heights = seconds[seen], heights[seen]
@@ -119,3 +133,44 @@ def _duration(observation: Observation) -> float:
         seconds = np.concatenate([fall, seconds])
         heights = np.concatenate([1 - (fall + 1) ** 2, heights])
     return first_flight_s(seconds, heights)
+
+
+def first_flight_s(seconds: Array, heights: Array) -> float:
+    """Duration of the flight between the first two impacts.
+
+    The first impact is where the parabolas of fall and flight meet, the second one where the
+    flight's is as low again. So the second impact itself, which falls anywhere in the step of an
+    engine, plays no part: the duration changes evenly with the restitution. Drag biases it, alike
+    in two curves that are compared.
+
+    Args:
+        seconds: times of the samples, shape (T,), increasing, from before the first impact.
+        heights: heights there, shape (T,), finite, in any unit.
+
+    Returns:
+        In the unit of `seconds`; 0 where the ball is not seen to leave the table and come back.
+    """
+    low = heights < (heights.max() + heights.min()) / 2
+    stops = np.flatnonzero(low[:-1] & (np.diff(heights) >= 0))
+    if not len(stops) or stops[0] < _MIN_SAMPLES or len(heights) - stops[0] < _MIN_SAMPLES:
+        return 0.0
+    impact = int(stops[0])  # the lowest sample of the first fall
+    rest = float(np.quantile(heights[impact:], 0.05))  # the table, where most samples rest on it
+    least = 6 * noise_of(heights) + 1e-3 * float(np.ptp(heights))
+    top = np.maximum.accumulate(heights[impact:])
+    over = (top > rest + least) & (heights[impact:] < rest + _LOW_FRACTION * (top - rest))
+    if not over.any():
+        return 0.0
+    flight = slice(impact + 1, impact + int(np.argmax(over)))
+    if flight.stop - flight.start < _MIN_SAMPLES:
+        return 0.0
+    clock = seconds - seconds[impact]
+    falling = heights[:impact] < rest + 0.98 * (heights[0] - rest)
+    down = np.polyfit(clock[:impact][falling], heights[:impact][falling], 2)
+    up = np.polyfit(clock[flight], heights[flight], 2)
+    if not 0.5 * down[0] > up[0] > 2 * down[0]:  # noise about a ball at rest is no free flight
+        return 0.0
+    apex = -up[1] / (2 * up[0])
+    crossings = np.roots(down - up)
+    near = crossings[np.argmin(np.abs(crossings))]
+    return float(max(0.0, 2 * (apex - near.real)))

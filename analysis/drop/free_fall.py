@@ -8,35 +8,52 @@ height or of the release: at first the ball may be held, carried or already fall
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from analysis.drop.impact import falling_to, gravity_of, meet, meet_at
+from analysis.drop.impact import Impact, falling_to, gravity_of, meet
 from analysis.drop.segments import (
     MIN_DROP_M,
     fall_samples,
-    fit_parabola,
     flight_samples,
-    rebounds,
+    has_rebound,
     release,
     rest_and_end,
 )
+from recorders.simulators.base import GRAVITY_M_S2
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import NotFoundError
 
 _MIN_SAMPLES = 10
+"""Below that neither a fall and a flight (5 and 3 samples) nor a noise can be told."""
+
 _SLOPE_WINDOW_S = 0.025
+"""Over which a slope is taken: in it a ball gains .25 m/s, little beside an impact's jump."""
+
+_FAST, _SHARP = 0.12, 0.15
+"""An impact, as fractions: of the fastest fall, before it; of the sharpest corner, at it."""
+
 _NOISE_WINDOW_S = 0.4
+"""Before an impact, where the noise is estimated anew: most of a log may be rest, and quieter."""
+
 _MARGIN_S = 1.0
+"""Kept before the release and of the rest, to be seen in a review."""
+
 _MOST_FALL_TIMES = 40
-_GRAVITY_M_S2 = 9.81
+"""After the impact: a ball of restitution .95 has come to rest by then."""
+
 _ODD_GRAVITY = 0.2
+"""Fraction off standard gravity from which any other drop of the recording is preferred."""
+
+_MOST_OUTLIERS = 8
+"""More of them are no exception: then it is the recording that is in doubt."""
 
 
 @dataclass(frozen=True, eq=False)
-class Drop:
-    """One drop.
+class Drop(Impact):
+    """One drop: its first impact, and the samples around it.
 
     Attributes:
         first: index of its first sample in the recording: a second before the release.
@@ -44,14 +61,8 @@ class Drop:
         heights_m: heights there [m], shape (T,).
         release_s: when the ball was let go, or would have been for this fall [s].
         release_m: height there [m].
-        impact_s: the first impact [s].
-        contact_m: height at contact [m].
-        impact_speed_m_s: at the first impact, positive.
-        flight_restitution: ratio of the speeds after and before, by the parabolas of fall and
-            flight alone; NaN where too little of the first flight is seen.
-        flight_restitution_sd: its standard error; NaN likewise.
-        gravity_m_s2: fitted acceleration of fall and flight together.
-        drag: how much slower it falls than it flies, (g_flight - g_fall) / g_flight; NaN likewise.
+        drag: how much slower it falls than it flies, (g_flight - g_fall) / g_flight; NaN where too
+            little of the first flight is seen.
         drag_sd: its standard error; NaN likewise.
         noise_m: standard deviation of the samples about a smooth curve [m].
         rest_m: height where the ball comes to rest [m]; NaN where it is not seen to.
@@ -63,12 +74,6 @@ class Drop:
     heights_m: Array
     release_s: float
     release_m: float
-    impact_s: float
-    contact_m: float
-    impact_speed_m_s: float
-    flight_restitution: float
-    flight_restitution_sd: float
-    gravity_m_s2: float
     drag: float
     drag_sd: float
     noise_m: float
@@ -82,16 +87,6 @@ class Drop:
         In a simulator with large steps a ball hits well below that.
         """
         return self.contact_m if np.isnan(self.rest_m) else self.rest_m
-
-    @property
-    def fall_time_s(self) -> float:
-        """Time of a fall from rest to the impact's speed [s]."""
-        return self.impact_speed_m_s / self.gravity_m_s2
-
-    @property
-    def drop_height_m(self) -> float:
-        """Height of a fall from rest to the impact's speed [m]."""
-        return self.impact_speed_m_s**2 / (2 * self.gravity_m_s2)
 
 
 def find_drops(seconds: Array, heights_m: Array) -> list[Drop]:
@@ -110,19 +105,24 @@ def find_drops(seconds: Array, heights_m: Array) -> list[Drop]:
     span = float(np.ptp(heights_m))
     if span < max(MIN_DROP_M, 20 * noise):
         raise NotFoundError(f"the ball does not fall: it moves by {1000 * span:.1f} mm in all")
+    width = max(2, round(_SLOPE_WINDOW_S / float(np.median(np.diff(seconds)))))
+    impacts: list[int] = []
+    if len(heights_m) > 2 * width:
+        slopes = run_slopes(seconds, heights_m, width)
+        impacts = slope_corners(slopes, width, _FAST * min(slopes[:-width].min(), 0.0), _SHARP)
     drops: list[Drop] = []
     odd: list[Drop] = []
     reasons: list[str] = []
     end = 0
-    for index in impact_candidates(seconds, heights_m):
+    for index in impacts:
         if index < end:
             continue
         try:
-            drop, drop_end = _fit(seconds, heights_m, end, index, noise)
+            drop, drop_end = _fit_drop(seconds, heights_m, end, index, noise)
         except NotFoundError as reason:
             reasons.append(str(reason))
             continue
-        if abs(drop.gravity_m_s2 / _GRAVITY_M_S2 - 1) < _ODD_GRAVITY:
+        if abs(drop.gravity_m_s2 / GRAVITY_M_S2 - 1) < _ODD_GRAVITY:
             drops.append(drop)
             end = drop_end
         else:  # a hand may lower a ball along a parabola too
@@ -132,66 +132,118 @@ def find_drops(seconds: Array, heights_m: Array) -> list[Drop]:
     return drops or odd[:1]
 
 
+def outliers(seconds: Array, heights_m: Array) -> NDArray[np.bool_]:
+    """Single samples that no ball can have been at: marker swaps, dropped detections.
+
+    Such a sample leaves both neighbours farther than a fall through the whole height could. The
+    whole height is measured without the 4 highest and lowest samples, so that a few outliers do not
+    hide themselves.
+
+    Args:
+        seconds: times [s], shape (T,), increasing.
+        heights_m: heights [m], shape (T,).
+
+    Returns:
+        Shape (T,); nothing where there seem to be more than 8.
+    """
+    found = np.zeros(len(heights_m), dtype=bool)
+    each_end = _MOST_OUTLIERS // 2
+    if len(heights_m) < 4 * each_end:
+        return found
+    ordered = np.partition(heights_m, (each_end, len(heights_m) - 1 - each_end))
+    whole_m = ordered[-1 - each_end] - ordered[each_end]
+    reach_m = np.sqrt(2 * GRAVITY_M_S2 * whole_m) * (seconds[2:] - seconds[:-2])
+    off_m = np.abs(heights_m[1:-1] - (heights_m[2:] + heights_m[:-2]) / 2)
+    apart_m = np.abs(heights_m[2:] - heights_m[:-2])
+    found[1:-1] = (off_m > reach_m + 0.05 * whole_m) & (apart_m < off_m)
+    return found if found.sum() <= _MOST_OUTLIERS else np.zeros_like(found)
+
+
 def noise_of(heights: Array) -> float:
-    """Robust noise from third differences, which a parabola does not have; in the heights' unit."""
+    """Standard deviation of the noise of heights, shape (T,), in their unit.
+
+    By the median of third differences, which a parabola does not have: sqrt(20) is what they make
+    of white noise, .6745 the median of a normal distribution's modulus.
+    """
     return float(np.median(np.abs(np.diff(heights, 3)))) / (0.6745 * np.sqrt(20.0))
 
 
-def impact_candidates(seconds: Array, heights: Array) -> list[int]:
-    """Samples at which a fast fall ends within a sample or two, in order."""
-    width = max(2, round(_SLOPE_WINDOW_S / float(np.median(np.diff(seconds)))))
-    if len(heights) <= 2 * width:
-        return []
-    slopes = run_slopes(seconds, heights, width)
-    before, after = slopes[:-width], slopes[width:]  # of sample i + width
-    fast = before < 0.12 * min(before.min(), 0.0)
-    jump = np.where(fast & (after > 0.5 * before), after - before, 0.0)
-    peaks: list[int] = []
-    for index in np.flatnonzero(jump > 0.15 * max(jump.max(), 1e-9)):
-        if peaks and index - peaks[-1] <= width:
-            peaks[-1] = max(peaks[-1], int(index), key=lambda at: jump[at])
-        else:
-            peaks.append(int(index))
-    return [peak + width for peak in peaks]
-
-
 def run_slopes(seconds: Array, heights: Array, width: int) -> Array:
-    """Slope a second of each run of width + 1 samples, between the means of its halves."""
+    """Slope a second of each run of width + 1 samples, between the means of its halves.
+
+    Args:
+        seconds: shape (T,).
+        heights: in any unit, shape (T,).
+        width: of a run [sample periods], at least 1.
+
+    Returns:
+        Shape (T - width,).
+    """
     half = (width + 1) // 2
+    values = np.stack([heights, seconds])
+    sums = np.cumsum(values - values[:, :1], axis=1)
+    sums = np.concatenate([np.zeros((2, 1)), sums], axis=1)
+    means = (sums[:, half:] - sums[:, :-half]) / half
+    rise, time = means[:, width + 1 - half :] - means[:, : half - width - 1]
+    return rise / time
 
-    def rise(values: Array) -> Array:
-        sums = np.concatenate([[0.0], np.cumsum(values - values[0])])
-        means = (sums[half:] - sums[:-half]) / half
-        return means[width + 1 - half :] - means[: half - width - 1]
 
-    return rise(heights) / rise(seconds)
+def slope_corners(slopes: Array, width: int, fast: float, sharp: float) -> list[int]:
+    """Samples at which a fast fall ends within a sample or two, in order.
+
+    Args:
+        slopes: see `run_slopes`, shape (T - width,).
+        width: of the runs [sample periods]; corners nearer than that are one.
+        fast: slope below which a fall is fast.
+        sharp: fraction of the largest change of slope below which there is no corner.
+    """
+    before, after = slopes[:-width], slopes[width:]  # of sample i + width
+    change = np.where((before < fast) & (after > 0.5 * before), after - before, 0.0)
+    corners: list[int] = []
+    for index in np.flatnonzero(change > sharp * max(change.max(), 1e-9)):
+        if corners and index - corners[-1] <= width:
+            corners[-1] = max(corners[-1], int(index), key=lambda at: change[at])
+        else:
+            corners.append(int(index))
+    return [corner + width for corner in corners]
 
 
-def _fit(seconds: Array, heights: Array, start: int, index: int, noise: float) -> tuple[Drop, int]:
+def _fit_drop(
+    seconds: Array, heights: Array, start: int, index: int, noise: float
+) -> tuple[Drop, int]:
     """The drop that first hits the table near sample `index`, and the sample where it ends."""
     clock = seconds - seconds[index]
-    lately = heights[max(start, int(np.searchsorted(clock, -_NOISE_WINDOW_S))) : index]
-    noise = max(noise, noise_of(lately)) if len(lately) >= _MIN_SAMPLES else noise
-    fall = fall_samples(clock, heights, start, index, noise)
-    parabola = fit_parabola(clock, heights, fall)
+    before = heights[max(start, int(np.searchsorted(clock, -_NOISE_WINDOW_S))) : index]
+    noise = max(noise, noise_of(before)) if len(before) >= _MIN_SAMPLES else noise
+    fall, parabola = fall_samples(clock, heights, start, index, noise)
     flight = flight_samples(clock, heights, index, parabola, noise)
     if len(flight):
-        meeting = meet(clock, heights, fall, flight, noise)
+        impact = meet(clock, heights, fall, flight, noise)
     else:
         near = heights[index - 1 : index + 4]
-        meeting = falling_to(float(near.min()), parabola, level_sd=float(np.ptp(near)))
-    rest, end = rest_and_end(clock, heights, index, meeting, noise)
+        impact = falling_to(float(near.min()), parabola, level_sd_m=float(np.ptp(near)))
+    rest, end = rest_and_end(clock, heights, index, impact, noise)
     if not len(rest) and not len(flight):
         raise NotFoundError("the recording ends before the ball rebounds")
-    level, level_sd = _level(heights[rest])
-    tolerance = 4 * meeting.contact_sd_m + 0.001 * meeting.drop_height_m + 0.001
-    if abs(level - meeting.contact_m) < tolerance and level_sd < meeting.contact_sd_m:
-        meeting = meet_at(level, meeting)
-    if not rebounds(clock[:end] - meeting.impact_s, heights[:end], meeting, noise):
+    level_m = float("nan")
+    tolerance_m = 4 * impact.contact_sd_m + 0.001 * impact.drop_height_m + 0.001
+    if len(rest):
+        late = heights[rest[len(rest) // 2 :]]  # the last bounces are too small to tell from rest
+        level_m = float(np.median(late))
+        level_sd_m = 1.25 * float(np.std(late)) / np.sqrt(len(late))  # of a median
+        same_table = abs(level_m - impact.contact_m) < tolerance_m
+        if same_table and level_sd_m < impact.contact_sd_m:
+            # The restitution stays that of the parabolas: a cross-check must not lean on the rest.
+            impact = replace(
+                falling_to(level_m, impact.fall),
+                flight_restitution=impact.flight_restitution,
+                flight_restitution_sd=impact.flight_restitution_sd,
+            )
+    if not has_rebound(clock[:end] - impact.impact_s, heights[:end], impact, noise):
         raise NotFoundError("the ball does not bounce: it stays where it lands")
-    release_s, release_m = release(clock, heights, start, int(fall[-1]), meeting)
+    release_s, release_m = release(clock, heights, start, int(fall[-1]), impact)
     first = max(start, int(np.searchsorted(clock, release_s - _MARGIN_S)))
-    last_s = meeting.impact_s + _MOST_FALL_TIMES * meeting.fall_time_s
+    last_s = impact.impact_s + _MOST_FALL_TIMES * impact.fall_time_s
     if len(rest):
         last_s = min(last_s, clock[rest[0]] + _MARGIN_S)
     last = min(end, int(np.searchsorted(clock, last_s)))
@@ -203,27 +255,16 @@ def _fit(seconds: Array, heights: Array, start: int, index: int, noise: float) -
         heights_m=heights[first:last],
         release_s=float(seconds[index] + release_s),
         release_m=release_m,
-        impact_s=float(seconds[index] + meeting.impact_s),
-        contact_m=meeting.contact_m,
-        impact_speed_m_s=meeting.fall_speed,
-        flight_restitution=meeting.restitution,
-        flight_restitution_sd=meeting.restitution_sd,
-        gravity_m_s2=meeting.gravity,
+        impact_s=float(seconds[index] + impact.impact_s),
+        contact_m=impact.contact_m,
+        impact_speed_m_s=impact.impact_speed_m_s,
+        flight_restitution=impact.flight_restitution,
+        flight_restitution_sd=impact.flight_restitution_sd,
+        gravity_m_s2=impact.gravity_m_s2,
         drag=1 - fall_gravity / flight_gravity,
         drag_sd=float(np.hypot(fall_sd, flight_sd)) / abs(flight_gravity),
         noise_m=noise,
-        rest_m=level,
-        rest_tolerance_m=tolerance,
+        rest_m=level_m,
+        rest_tolerance_m=tolerance_m,
     )
     return drop, end
-
-
-def _level(heights: Array) -> tuple[float, float]:
-    """Height [m] of a ball at rest and its standard error; NaN where there are no samples.
-
-    The later half counts: the last bounces are too small to tell from rest.
-    """
-    late = heights[len(heights) // 2 :]
-    if not len(late):
-        return float("nan"), float("nan")
-    return float(np.median(late)), 1.25 * float(np.std(late)) / np.sqrt(len(late))

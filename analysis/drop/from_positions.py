@@ -1,126 +1,156 @@
-"""The drop: a ball's coefficient of restitution from its recorded height."""
+"""A drop from recorded positions: the ball's coefficient of restitution from its height."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.checks import Check, CrossCheck
 from analysis.drop import observations as views
 from analysis.drop.bounce_fit import fit_bounce
 from analysis.drop.checks import (
-    Check,
     fall_checks,
     fit_check,
     rebound_check,
     recording_checks,
     sure_check,
 )
-from analysis.drop.detection import DISAGREEMENT, DropDetection, drop_problem
-from analysis.drop.free_fall import Drop, find_drops
-from analysis.drop.outliers import strays
+from analysis.drop.detection import DISAGREEMENT, TOO_SHORT, DropDetection, drop_problem
+from analysis.drop.free_fall import Drop, find_drops, outliers
 from analysis.drop.presets import PAPER_HEIGHT_M, PRESETS
-from analysis.estimators.base import Problem, Step
-from analysis.estimators.observation import Observation
-from analysis.experiment import Claim, CrossCheck, FitResult, Preset, Selection
-from analysis.selection import check_start
+from analysis.drop.record_parts import reported_rebounds, tuned_curves
+from analysis.estimators.base import FitResult, Observation, Problem, Step, Trace
+from analysis.experiment import Claim, Preset
+from analysis.record import Curves, Rebound
+from analysis.selection import Selection, check_start
 from recorders.simulators.drop import RESTITUTION, TOPIC
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, Signal
 from tunenet_logs.errors import NotFoundError
-from tunenet_logs.timestamp_correction import on_time
-from tunenet_logs.wording import listed
+from tunenet_logs.text import listed
+from tunenet_logs.timestamp_correction import correct_late_stamps
+
+if TYPE_CHECKING:
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+    from analysis.tuning_result import Tuning
 
 _AXES = {"+z": (2, 1), "-z": (2, -1), "+y": (1, 1), "-y": (1, -1), "+x": (0, 1), "-x": (0, -1)}
+"""Column and sign of what may be up, the likeliest first."""
+
 _POSITION = ("x", "y", "z")
+
 _AGREEMENT = 0.02
-_FIT = 0.008
-_PAPER_FIT = 0.03
-_REJECT, _REJECT_REFINED = 0.1, 0.15
-"""A refined value allows for the air, which the simulator that it is compared in has not."""
+"""Of the restitution: what drag and slope take off the cross-check of a good drop."""
+
+_FIT, _PAPER_FIT = 0.008, 0.03
+"""Rms [drop heights] that the tuned curve may be off: ours, and the paper's 60 Hz simulator."""
+
+_REJECT, _REJECT_FITTED = 0.1, 0.15
+"""Likewise, from where on nothing is reported. A fitted value allows for the air, which the
+simulator that it is compared in has not."""
+
+_NOISE_SHARE = 1.2
+"""Of the noise that adds to these limits: what white noise alone hardly exceeds."""
 
 _FARTHEST_M = 1e6
+"""A coordinate beyond it is a marker for "none"."""
 
 
-class DropTask:
-    """See `Task`."""
+class DropFromPositions:
+    """See `Experiment`."""
 
     name = "drop"
     kind = "drop"
     occasion = "drop"
     parameters = (RESTITUTION,)
 
+    @property
+    def presets(self) -> Mapping[str, Preset]:
+        """See `Experiment.presets`."""
+        return PRESETS
+
     def claim(self, episode: Episode, topic: str | None) -> Claim:
-        """By its positions: a tree of frames is in every robot's log; see `Task.claim`."""
+        """By its positions: a tree of frames is in every robot's log; see `Experiment.claim`."""
         signals = episode.signals.values() if topic is None else episode.signals_of(topic)
-        positions = [one.name for one in signals if _is_position(one)]
+        positions = [signal.name for signal in signals if _is_position(signal)]
         if not positions:
             return Claim.NONE
         frames = all(name.startswith("/tf") and "ball" not in name for name in positions)
         return Claim.PERHAPS if frames else Claim.PLAINLY
 
-    @property
-    def presets(self) -> Mapping[str, Preset]:
-        """See `Task.presets`."""
-        return PRESETS
-
-    def find(self, episode: Episode, selection: Selection, preset: str) -> DropDetection:
-        """The first drop of the ball's signal; see `Task.find`."""
+    def detect(self, episode: Episode, selection: Selection, preset: str) -> DropDetection:
+        """The first drop of the ball's signal; see `Experiment.detect`."""
         reasons: list[str] = []
-        unused = _unused_hints(episode, selection)
+        unused = _unused_options(episode, selection)
         for signal in _candidates(episode, selection):
             try:
                 check_start(selection.start_s, float(signal.seconds[-1]))
-                arrivals = on_time(signal.stamps_ns)
+                arrivals = correct_late_stamps(signal.stamps_ns)
                 even = replace(signal, stamps_ns=arrivals.stamps_ns)
-                found = _find_in(_cut(even, selection), int(signal.stamps_ns[0]), preset)
-                late = arrivals.words("samples")
-                return replace(found, warnings=(*found.warnings, *late, *unused))
+                detection = _detect_in(_cut(even, selection), int(signal.stamps_ns[0]), preset)
+                late = arrivals.warnings("samples")
+                return replace(detection, warnings=(*detection.warnings, *late, *unused))
             except NotFoundError as reason:
                 reasons.append(f"{signal.name}: {reason}")
         raise NotFoundError("; ".join((reasons[0], *unused)))
 
-    def problem(self, found: DropDetection, initial: Array) -> Problem:
-        """See `Task.problem`."""
-        return drop_problem(found, initial)
+    def problem(self, detection: DropDetection, initial: Array) -> Problem:
+        """See `Experiment.problem`."""
 
-    def refine(self, found: DropDetection, estimate: Array) -> FitResult | None:
-        """The bounce in closed form, fitted to all samples; see `Task.refine`."""
-        fit = fit_bounce(found.drop, float(estimate[0])) if found.physical else None
-        if fit is None:
-            return None
-        ends = np.array([fit.interval95])
-        return FitResult(np.array([fit.restitution]), ends, sure_check(*fit.interval95))
+        def exact_fit(start: Array) -> FitResult | None:
+            """The bounce in closed form, fitted to all samples."""
+            fit = fit_bounce(detection.drop, float(start[0]))
+            if fit is None:
+                return None
+            return FitResult(np.array([fit.restitution]), np.array([fit.interval95]), detail=())
+
+        return drop_problem(detection, initial, exact_fit)
 
     def checks(
-        self, found: DropDetection, last: Step, refined: FitResult | None
+        self, detection: DropDetection, last: Step, fit: FitResult | None
     ) -> tuple[Check, ...]:
-        """See `Task.checks`."""
+        """See `Experiment.checks`."""
         assert last.evaluation is not None
-        checks = recording_checks(found.drop, found.sideways_m)
-        physical = found.physical
+        drop, physical = detection.drop, detection.physical
+        checks = recording_checks(drop, detection.sideways_m)
         if physical:  # the paper's simulator has a drag of its own
             value = float(last.values[0])
-            checks += fall_checks(found.drop, value)
-            checks.append(refined.check if refined else rebound_check(found.drop, value))
-        height_m, noise_m = found.drop.drop_height_m, found.drop.noise_m
-        scale = 1.0 if physical else height_m
-        most = _FIT if physical else _PAPER_FIT
-        most += 1.2 * noise_m / height_m
-        reject = _REJECT_REFINED if refined else _REJECT
-        observation = last.evaluation.observation
-        return (*checks, fit_check(observation, found.target, scale, most, reject))
+            checks += fall_checks(drop, value)
+            checks.append(sure_check(*fit.interval95[0]) if fit else rebound_check(drop, value))
+        scale = 1.0 if physical else drop.drop_height_m
+        most = (_FIT if physical else _PAPER_FIT) + _NOISE_SHARE * drop.noise_m / drop.drop_height_m
+        reject = _REJECT_FITTED if fit else _REJECT
+        simulated = last.evaluation.observation
+        return (*checks, fit_check(simulated, detection.target, scale, most, reject))
 
-    def cross_check(self, found: DropDetection, estimate: Array) -> CrossCheck | None:
+    def cross_check(self, detection: DropDetection, estimate: Array) -> CrossCheck | None:
         """The speeds just after and just before the impact, by the parabolas on either side."""
-        value = found.drop.flight_restitution
-        if np.isnan(value) or not found.physical:
+        value = detection.drop.flight_restitution
+        if np.isnan(value) or not detection.physical:
             return None
-        margin = _AGREEMENT + 3 * found.drop.flight_restitution_sd
+        margin = _AGREEMENT + 3 * detection.drop.flight_restitution_sd
         agrees = bool(abs(value - estimate[0]) < margin)
         return CrossCheck("speeds at the first impact", value, agrees, DISAGREEMENT)
+
+    def curves(self, detection: DropDetection, last: Step) -> Curves | None:
+        """See `Experiment.curves`."""
+        return tuned_curves(detection, last)
+
+    def rebounds(self, detection: DropDetection, trace: Trace) -> tuple[Rebound, ...]:
+        """See `Experiment.rebounds`."""
+        return reported_rebounds(detection.drop, trace)
+
+    def review(self, stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
+        """See `Experiment.review`."""
+        from analysis.drop.review.views import log_drop
+
+        return log_drop(stream, tuning)
 
 
 def _candidates(episode: Episode, selection: Selection) -> list[Signal]:
@@ -141,7 +171,7 @@ def _candidates(episode: Episode, selection: Selection) -> list[Signal]:
     return sorted(positions, key=lambda one: (one.name != TOPIC, "ball" not in one.name, one.name))
 
 
-def _unused_hints(episode: Episode, selection: Selection) -> tuple[str, ...]:
+def _unused_options(episode: Episode, selection: Selection) -> tuple[str, ...]:
     """What to say of options for others: nobody should think that they had an effect."""
     found: list[str] = []
     if selection.arm_options:
@@ -169,7 +199,7 @@ def _cut(signal: Signal, selection: Selection) -> Signal:
     return _only(signal, keep)
 
 
-def _find_in(signal: Signal, start_ns: int, preset: str) -> DropDetection:
+def _detect_in(signal: Signal, start_ns: int, preset: str) -> DropDetection:
     if not len(signal.stamps_ns):
         raise NotFoundError("no sample with a position (in the part that was selected)")
     up, signal, drops = _vertical_drops(signal, start_ns)
@@ -195,14 +225,14 @@ def _find_in(signal: Signal, start_ns: int, preset: str) -> DropDetection:
 
 
 def _vertical_drops(signal: Signal, start_ns: int) -> tuple[str, Signal, list[Drop]]:
-    """Which way is up (+z if in doubt), the signal without strays, and the drops along it."""
+    """Which way is up (+z if in doubt), the signal without outliers, and the drops along it."""
     low, high = np.quantile(signal.values, (0.001, 0.999), axis=0)
     first_reason: NotFoundError | None = None
     for up, (column, sign) in _AXES.items():
         if (high - low)[column] < 0.5 * (high - low).max():
             continue
         seconds = (signal.stamps_ns - start_ns).astype(np.float64) * 1e-9
-        kept = _only(signal, np.logical_not(strays(seconds, signal.values[:, column])))
+        kept = _only(signal, np.logical_not(outliers(seconds, signal.values[:, column])))
         seconds = (kept.stamps_ns - start_ns).astype(np.float64) * 1e-9
         try:
             return up, kept, find_drops(seconds, sign * kept.values[:, column])
@@ -218,10 +248,7 @@ def _only(signal: Signal, keep: NDArray[np.bool_]) -> Signal:
 
 def _paper_warnings(drop: Drop, target: Observation) -> list[str]:
     if np.isnan(target.values).any():
-        raise NotFoundError(
-            "the paper's network needs 400 samples at 60 Hz: record 6.7 s from the release on, "
-            "or use --preset default"
-        )
+        raise NotFoundError(TOO_SHORT)
     height = drop.release_m - drop.table_m + views.PAPER_RADIUS_M
     low, high = PAPER_HEIGHT_M
     if low - 0.1 <= height <= high + 0.1:

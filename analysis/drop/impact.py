@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,52 +10,60 @@ from numpy.typing import NDArray
 
 from tunenet_logs.arrays import Array
 
-Samples = NDArray[np.intp]
-Parabola = tuple[float, float, float]
-"""Highest power first."""
+Indices = NDArray[np.intp]
+"""Of samples, increasing."""
 
 
-@dataclass(frozen=True)
-class ImpactFit:
-    """An impact, on a clock of the caller's.
+@dataclass(frozen=True, eq=False)
+class Impact:
+    """The first impact of a drop.
 
     Attributes:
-        impact_s: its time.
-        contact_m: the height there.
-        contact_sd_m: standard error of that height.
-        fall_speed: just before, positive [m/s].
-        restitution: ratio of the speeds after and before, by the two parabolas alone; NaN where
-            the flight is not seen.
-        restitution_sd: its standard error; NaN likewise.
-        fall: parabola of the fall.
+        impact_s: its time [s].
+        contact_m: height at contact [m].
+        impact_speed_m_s: just before, positive.
+        flight_restitution: ratio of the speeds after and before, by the parabolas of fall and
+            flight alone; NaN where too little of the first flight is seen.
+        flight_restitution_sd: its standard error; NaN likewise.
+        gravity_m_s2: fitted acceleration of fall and flight together.
     """
 
     impact_s: float
     contact_m: float
-    contact_sd_m: float
-    fall_speed: float
-    restitution: float
-    restitution_sd: float
-    fall: Parabola
-
-    @property
-    def gravity(self) -> float:
-        """Acceleration of the fall [m/s²]."""
-        return -2 * self.fall[0]
-
-    @property
-    def drop_height_m(self) -> float:
-        """Fall from rest that gives the fall's speed [m]."""
-        return self.fall_speed**2 / (2 * self.gravity)
+    impact_speed_m_s: float
+    flight_restitution: float
+    flight_restitution_sd: float
+    gravity_m_s2: float
 
     @property
     def fall_time_s(self) -> float:
-        """Duration of that fall [s]."""
-        return self.fall_speed / self.gravity
+        """Time of a fall from rest to the impact's speed [s]."""
+        return self.impact_speed_m_s / self.gravity_m_s2
+
+    @property
+    def drop_height_m(self) -> float:
+        """Height of a fall from rest to the impact's speed [m]."""
+        return self.impact_speed_m_s**2 / (2 * self.gravity_m_s2)
 
 
-def meet(clock: Array, heights: Array, fall: Samples, flight: Samples, noise: float) -> ImpactFit:
-    """Fit fall and flight with one curvature, and find where they cross.
+@dataclass(frozen=True, eq=False)
+class ImpactFit(Impact):
+    """An impact as it is fitted, on a clock of the caller's.
+
+    Attributes:
+        contact_sd_m: standard error of the contact's height [m].
+        fall: parabola of the fall, highest power first, shape (3,).
+    """
+
+    contact_sd_m: float
+    fall: Array
+
+
+def meet(clock: Array, heights: Array, fall: Indices, flight: Indices, noise: float) -> ImpactFit:
+    """Fit fall and flight with one curvature by least squares, and find where they cross.
+
+    Standard errors are the fit's covariance carried through the crossing by central differences
+    (the delta method).
 
     Args:
         clock: times [s], shape (T,).
@@ -76,47 +84,56 @@ def meet(clock: Array, heights: Array, fall: Samples, flight: Samples, noise: fl
     slopes = np.array([(up - down) / 2 for up, down in either_way])  # shape (5, 4)
     correlation = covariance / np.outer(steps, steps)
     errors = np.sqrt(np.maximum(np.diag(slopes.T @ correlation @ slopes), 0.0))
-    impact, contact, speed, restitution = (float(value) for value in _crossing(solution))
-    offset, slope, _, _, curve = (float(value) for value in solution)
+    impact_s, contact_m, speed_m_s, restitution = _crossing(solution).tolist()
+    offset, slope, _, _, curve = solution.tolist()
     return ImpactFit(
-        impact_s=impact,
-        contact_m=contact,
+        impact_s=impact_s,
+        contact_m=contact_m,
+        impact_speed_m_s=speed_m_s,
+        flight_restitution=restitution,
+        flight_restitution_sd=float(errors[3]),
+        gravity_m_s2=-2 * curve,
         contact_sd_m=float(errors[1]),
-        fall_speed=speed,
-        restitution=restitution,
-        restitution_sd=float(errors[3]),
-        fall=(curve, slope, offset),
+        fall=np.array([curve, slope, offset]),
     )
 
 
-def falling_to(level: float, fall: Parabola, level_sd: float = 0.0) -> ImpactFit:
-    """Where a fall's parabola comes down to a known level."""
-    curve, slope, offset = fall
-    speed = float(np.sqrt(max(slope**2 - 4 * curve * (offset - level), 0.0)))
-    impact = (-slope - speed) / (2 * curve)
-    unknown = float("nan")
-    return ImpactFit(impact, level, level_sd, speed, unknown, unknown, fall)
+def falling_to(level_m: float, fall: Array, level_sd_m: float = 0.0) -> ImpactFit:
+    """Where a fall's parabola comes down to a known level; what comes after it is NaN.
 
-
-def meet_at(level: float, meeting: ImpactFit) -> ImpactFit:
-    """The same meeting where its level is known better, from the ball at rest.
-
-    The restitution stays that of the two parabolas: a second opinion must not lean on the first.
+    Args:
+        level_m: height [m].
+        fall: parabola, highest power first, shape (3,).
+        level_sd_m: standard error of the level [m].
     """
-    return replace(
-        falling_to(level, meeting.fall),
-        restitution=meeting.restitution,
-        restitution_sd=meeting.restitution_sd,
+    curve, slope, offset = fall.tolist()
+    speed = float(np.sqrt(max(slope**2 - 4 * curve * (offset - level_m), 0.0)))
+    return ImpactFit(
+        impact_s=(-slope - speed) / (2 * curve),
+        contact_m=level_m,
+        impact_speed_m_s=speed,
+        flight_restitution=float("nan"),
+        flight_restitution_sd=float("nan"),
+        gravity_m_s2=-2 * curve,
+        contact_sd_m=level_sd_m,
+        fall=fall,
     )
 
 
-def gravity_of(clock: Array, heights: Array, samples: Samples, noise: float) -> tuple[float, float]:
-    """Acceleration of some samples of free flight and its standard error [m/s²]; NaN below 4."""
-    if len(samples) < 4:
+def gravity_of(clock: Array, heights: Array, indices: Indices, noise: float) -> tuple[float, float]:
+    """Acceleration of some samples of free flight and its standard error [m/s²]; NaN below 4.
+
+    Args:
+        clock: times [s], shape (T,).
+        heights: heights [m], shape (T,).
+        indices: of the samples to fit.
+        noise: standard deviation of a height [m].
+    """
+    if len(indices) < 4:
         return float("nan"), float("nan")
-    times = clock[samples] - clock[samples].mean()
+    times = clock[indices] - clock[indices].mean()
     design = np.column_stack([np.ones_like(times), times, times**2])
-    solution, *_ = np.linalg.lstsq(design, heights[samples], rcond=None)
+    solution, *_ = np.linalg.lstsq(design, heights[indices], rcond=None)
     variance = noise**2 * np.linalg.pinv(design.T @ design)[2, 2]
     return float(-2 * solution[2]), float(2 * np.sqrt(max(variance, 0.0)))
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.drop.free_fall import Drop
-from analysis.estimators.observation import Observation, resample
+from analysis.estimators.base import Observation, resample
 from recorders.simulators.contact import ContactSettings
 from recorders.simulators.drop import TOPIC, DropRig
 from tunenet_logs.arrays import Array
@@ -19,16 +19,19 @@ from tunenet_logs.episode import Episode
 
 CANONICAL_PER_FALL = 32
 CANONICAL_SPAN = 4
-"""The canonical grid: fall times after the first impact, and places in each."""
+"""The canonical grid: points in each fall time, and fall times after the first impact."""
 
 PAPER_RATE_HZ = 60.0
 PAPER_SAMPLES = 400
 PAPER_RADIUS_M = 0.5
+"""The simulation of the TuneNet paper: samples and ball."""
+
 _PAPER_UNIT_M = 5.0
+"""Its highest drop: with it z is from 0 to about 1."""
 
 
 def canonical_axis() -> Array:
-    """Places of the canonical grid [fall times after the first impact], shape (128,)."""
+    """Points of the canonical grid [fall times after the first impact], shape (128,)."""
     return np.arange(1, CANONICAL_SPAN * CANONICAL_PER_FALL + 1) / CANONICAL_PER_FALL
 
 
@@ -38,11 +41,11 @@ def canonical(drop: Drop) -> Observation:
     A ball that is seen to rest goes on resting; else what comes after the recording is NaN.
     """
     axis = canonical_axis()
-    places = (drop.seconds - drop.impact_s) / drop.fall_time_s
+    times = (drop.seconds - drop.impact_s) / drop.fall_time_s
     heights = (drop.heights_m - drop.contact_m) / drop.drop_height_m
-    values = _between_impacts(places, heights, axis)
+    values = _between_impacts(times, heights, axis)
     if not np.isnan(drop.rest_m):
-        values[axis > places[-1]] = (drop.rest_m - drop.contact_m) / drop.drop_height_m
+        values[axis > times[-1]] = (drop.rest_m - drop.contact_m) / drop.drop_height_m
     return Observation(values[:, None], axis, "time after impact [fall times]", ("[drop heights]",))
 
 
@@ -118,7 +121,7 @@ def _paper_observation(heights_m: Array) -> Observation:
     return Observation(heights_m[:, None].copy(), paper_axis(), "time [s]", ("z [m]",))
 
 
-def _between_impacts(places: Array, heights: Array, wanted: Array) -> Array:
+def _between_impacts(times: Array, heights: Array, wanted: Array) -> Array:
     """Interpolate a curve of parabolas u'' = -2 that meet at impacts; NaN outside.
 
     Three parabolas claim each gap between samples: the one through its two ends, and those of the
@@ -126,16 +129,21 @@ def _between_impacts(places: Array, heights: Array, wanted: Array) -> Array:
     it, two agree; with one in the gap itself, the two neighbours meet there from above and the
     gap's own lies over both. The median is right every time. A ball at rest is no parabola: there
     the straight line is the lower bound.
+
+    Args:
+        times: of the samples [fall times], shape (T,).
+        heights: there [drop heights], shape (T,).
+        wanted: times to interpolate at, shape (L,).
     """
-    gap = np.clip(np.searchsorted(places, wanted, side="right") - 1, 1, len(places) - 3)
+    gap = np.clip(np.searchsorted(times, wanted, side="right") - 1, 1, len(times) - 3)
 
     def prolonged(first: NDArray[np.intp]) -> Array:
-        s0, s1 = places[first], places[first + 1]
+        s0, s1 = times[first], times[first + 1]
         slope = (heights[first + 1] - heights[first]) / (s1 - s0)
         return heights[first] + slope * (wanted - s0) + (wanted - s0) * (s1 - wanted)
 
     claims = np.sort([prolonged(gap - 1), prolonged(gap), prolonged(gap + 1)], axis=0)
-    straight = np.interp(wanted, places, heights)
+    straight = np.interp(wanted, times, heights)
     values = np.maximum(claims[1], np.minimum(straight, 0.0))
-    values[(wanted < places[0]) | (wanted > places[-1])] = np.nan
+    values[(wanted < times[0]) | (wanted > times[-1])] = np.nan
     return values

@@ -9,14 +9,14 @@ from functools import lru_cache
 import numpy as np
 
 from analysis.drop import observations as views
-from analysis.experiment import Preset
+from analysis.experiment import Preset, Training
 from analysis.tunenet.checkpoint import Purpose
 from analysis.tunenet.network import AntisymmetricNetwork, PaperNetwork
 from analysis.tunenet.pairs import PairSet, consecutive_pairs, mixed_pairs, observe_all
 from analysis.tunenet.training import Recipe
-from recorders.simulators.ball_world import BallWorld
 from recorders.simulators.contact import CALIBRATED, PAPER, ContactSettings
 from recorders.simulators.drop import RESTITUTION, DropRig, DropSimulator
+from recorders.simulators.engines import BallWorld, engine
 from tunenet_logs.arrays import Array
 from tunenet_logs.progress import Progress
 
@@ -28,16 +28,20 @@ PAPER_HEIGHT_M = (4.0, 5.0)
 
 PAPER_RESTITUTION = (0.3, 0.7)
 _PAPER_PAIRS = 800
+"""The paper's range of restitutions, and its number of pairs."""
+
 _GAP_M = (0.3, 5.0)
 _RATES_HZ = (60.0, 120.0, 240.0)
-_ROLLOUTS = 2048
-_PAIRS = 51_200
+"""Drops to train for. The observation leaves both out: they only vary how it is sampled."""
+
+_ROLLOUTS, _PAIRS = 2048, 51_200
+"""Rollouts, and pairs that are drawn among them: a pair costs nothing more."""
 
 
 @lru_cache(maxsize=1)
 def _world(radius_m: float, contact: ContactSettings) -> BallWorld:
     """One a process: making it takes as long as a dozen rollouts."""
-    return BallWorld(radius_m, contact)
+    return engine().ball_world(radius_m, contact)
 
 
 def _observe_plans(plans: Sequence[Plan]) -> Array:
@@ -103,7 +107,7 @@ def _canonical_pairs(count: int | None, seed: int, jobs: int | None, progress: P
     return PairSet(observations, values[:, None], *mixed_pairs(values, count, rng))
 
 
-def _paper_preset(name: str, recipe: Recipe) -> Preset:
+def _paper_preset(name: str, recipe: Recipe) -> Training:
     purpose = Purpose(
         task="drop",
         preset=name,
@@ -112,7 +116,7 @@ def _paper_preset(name: str, recipe: Recipe) -> Preset:
         outputs=1,
         rates_hz=(views.PAPER_RATE_HZ,),
     )
-    return Preset(purpose, PaperNetwork(), recipe, _paper_pairs, physical=False)
+    return Training(purpose, PaperNetwork(), recipe, _paper_pairs)
 
 
 OUR_TRAINING = Recipe(
@@ -126,7 +130,7 @@ OUR_TRAINING = Recipe(
     cut_share=0.2,
 )
 
-_OURS = Preset(
+_OURS = Training(
     Purpose(
         task="drop",
         preset="default",
@@ -138,7 +142,6 @@ _OURS = Preset(
     AntisymmetricNetwork(),
     replace(OUR_TRAINING, noise=0.01),  # films bring a noise of their own
     _canonical_pairs,
-    physical=True,
 )
 
 PAPERS_TEXT = Recipe(
@@ -165,8 +168,13 @@ PAPERS_CODE = Recipe(
     batch=50,
 )
 
-PRESETS = {
+TRAININGS = {
     "default": _OURS,
     "paper": _paper_preset("paper", PAPERS_TEXT),
     "paper-code": _paper_preset("paper-code", PAPERS_CODE),
+}
+
+PRESETS = {
+    "default": Preset(True, "tunenet+refine", TRAININGS["default"]),
+    **{name: Preset(False, "tunenet", TRAININGS[name]) for name in TRAININGS if name != "default"},
 }

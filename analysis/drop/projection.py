@@ -2,8 +2,14 @@
 
 Along the image of the vertical a height u [drop heights] above contact appears at
 p = A + B phi(u), phi(u) = e^k u / (1 + (e^k - 1) u): contact at A, drop height at A + B, and k the
-perspective between the two. Time is in fall times T0 after the first impact. So five numbers and a
-ball say what a track looks like, whatever camera, height and frame rate.
+perspective between the two. It is the projective map of a line, which three points fix and which
+keeps the cross-ratio of four (Hartley and Zisserman 2004). Time is in fall times T0 after the first
+impact. So five numbers and a ball say what a track looks like, whatever camera, height and frame
+rate.
+
+Given k, A and B follow in closed form; k is found by a search over a line. So an uncalibrated
+camera costs nothing to a comparison of curves: what their best map leaves of a track is what a
+curve has wrong.
 """
 
 from __future__ import annotations
@@ -12,8 +18,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from recorders.simulators.bounce import Bounce
+from recorders.simulators.closed_form.bounce import Bounce
 from tunenet_logs.arrays import Array
+
+PERSPECTIVE_SD = 0.7
+"""Prior of k, normal about 0: from the camera poses that people use."""
+
+_COARSE = np.arange(-2.0, 2.01, 0.25)
+_FINE = np.arange(-0.25, 0.26, 0.0625)
+"""Perspectives that are tried, and then differences from the best of them."""
+
+_NEAREST, _NEAREST_OF_MAP = 1e-3, 0.05
+"""Least depth [depth of the contact]: a height above the camera has no image. A best map is for any
+curve, and keeps farther away."""
+
+_LEAST_NOISE = 1e-9
+"""In place of 0."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,11 +44,11 @@ class Projection:
         contact_px: A, along the image's vertical, up positive.
         span_px: B.
         perspective: k.
-        impact_s: the first impact.
-        fall_time_s: T0, without air.
+        impact_s: the first impact [s].
+        fall_time_s: T0, without air [s].
         bounce: the ball.
-        residual_px: rms of the track about it.
-        worst_px: largest residual.
+        residual_rms_px: root mean square of the track's residuals.
+        residual_max_px: the largest of them.
     """
 
     contact_px: float
@@ -37,31 +57,94 @@ class Projection:
     impact_s: float
     fall_time_s: float
     bounce: Bounce
-    residual_px: float
-    worst_px: float
+    residual_rms_px: float
+    residual_max_px: float
 
-    def heights(self, places_px: Array) -> Array:
-        """Heights [drop heights] of places along the image's vertical."""
-        share = (places_px - self.contact_px) / self.span_px
+    def heights(self, positions_px: Array) -> Array:
+        """Heights [drop heights] of positions along the image's vertical, shape (T,)."""
+        fraction = (positions_px - self.contact_px) / self.span_px
         grow = np.exp(self.perspective)
-        return share / np.maximum(grow - (grow - 1) * share, 1e-3)
+        return fraction / np.maximum(grow - (grow - 1) * fraction, _NEAREST)
 
-    def places_px(self, heights: Array) -> Array:
-        """Places along the image's vertical of heights [drop heights]."""
+    def positions_px(self, heights: Array) -> Array:
+        """Positions along the image's vertical of heights [drop heights], shape (T,)."""
         return self.contact_px + self.span_px * projected(heights, self.perspective)
 
     def fall_times(self, seconds: Array) -> Array:
-        """Times [fall times after the first impact]."""
+        """Times [fall times after the first impact] of times [s], shape (T,)."""
         return (seconds - self.impact_s) / self.fall_time_s
 
     def impacts(self, until_s: float) -> Array:
-        """All impacts until then, in order [fall times after the first], the first is 0."""
+        """All impacts until then, in order [fall times after the first]; the first is 0."""
         last = (until_s - self.impact_s) / self.fall_time_s
         starts, _ = self.bounce.flights(last)
         return starts[starts <= max(last, 0.0)]
 
 
-def projected(heights: Array, perspective: float) -> Array:
-    """phi(u) of heights [drop heights]."""
+@dataclass(frozen=True)
+class ProjectiveMap:
+    """From heights to positions in the picture.
+
+    Attributes:
+        contact: A, where height 0 is.
+        span: B, from there to where height 1 is.
+        perspective: k.
+    """
+
+    contact: float
+    span: float
+    perspective: float
+
+    def positions(self, heights: Array) -> Array:
+        """Where heights [drop heights] appear, in the unit of `contact`, shape (T,)."""
+        return self.contact + self.span * projected(heights, self.perspective, _NEAREST_OF_MAP)
+
+
+def projected(heights: Array, perspective: float | Array, nearest: float = _NEAREST) -> Array:
+    """phi(u) of heights [drop heights].
+
+    Args:
+        heights: of any shape.
+        perspective: k; broadcast with the heights.
+        nearest: least depth [depth of the contact].
+    """
     grow = np.exp(perspective)
-    return grow * heights / np.maximum(1 + (grow - 1) * heights, 1e-3)
+    return grow * heights / np.maximum(1 + (grow - 1) * heights, nearest)
+
+
+def best_map(heights: Array, positions: Array, noise: float) -> ProjectiveMap:
+    """The projective map that puts a curve of heights nearest to a track, by least squares.
+
+    Args:
+        heights: of the curve [drop heights], shape (T,); NaN is left out.
+        positions: of the track at the same times, in any unit, shape (T,); NaN is left out. At
+            least three of both.
+        noise: standard deviation of a position: how much the track counts against k's prior.
+    """
+    known = np.isfinite(heights) & np.isfinite(positions)
+    heights, positions = heights[known], positions[known]
+    noise = max(noise, _LEAST_NOISE)
+    off = positions - positions.mean()
+    best = 0.0
+    for grid in (_COARSE, _FINE):
+        tried = best + grid
+        curves = projected(heights, tried[:, None], _NEAREST_OF_MAP)
+        curves = curves - curves.mean(axis=1, keepdims=True)
+        power = np.maximum(np.einsum("kt,kt->k", curves, curves), _LEAST_NOISE)
+        squares = off @ off - (curves @ off) ** 2 / power  # that the best A and B of each k leave
+        best = _lowest(tried, squares / noise**2 + (tried / PERSPECTIVE_SD) ** 2)
+    curve = projected(heights, np.array(best), _NEAREST_OF_MAP)
+    off_curve = curve - curve.mean()
+    span = float(off_curve @ positions / max(off_curve @ off_curve, _LEAST_NOISE))
+    return ProjectiveMap(float(positions.mean() - span * curve.mean()), span, best)
+
+
+def _lowest(values: Array, costs: Array) -> float:
+    """Where the parabola through the lowest of evenly spaced points and its neighbours turns."""
+    at = int(np.argmin(costs))
+    if not 0 < at < len(costs) - 1:
+        return float(values[at])
+    before, here, after = costs[at - 1 : at + 2]
+    bend = before - 2 * here + after
+    fraction = 0.0 if bend <= 0 else 0.5 * (before - after) / bend
+    return float(values[at] + fraction * (values[at + 1] - values[at]))

@@ -3,31 +3,30 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from analysis.drop.impact import ImpactFit, falling_to
+from analysis.drop.impact import Impact, ImpactFit, Indices, falling_to
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import NotFoundError
 
-Samples = NDArray[np.intp]
-Parabola = tuple[float, float, float]
-
 MIN_DROP_M = 0.02
+"""A lower fall lasts 64 ms: a camera of 60 Hz sees it in four pictures."""
+
+_FALL_FRACTIONS = (0.95, 0.8, 0.6, 0.4, 0.25)
+"""Lower parts of a descent that are tried as its free fall, the largest first."""
+
 _REST_WINDOW_S = 0.25
+"""Longer than the top of a bounce stays within the tolerance of a rest."""
+
 _FIRST_BLOCK = 256
 """Samples that are looked through at first: a ball rests soon, whatever the recording's length."""
 
 
-def fit_parabola(clock: Array, heights: Array, samples: Samples) -> Parabola:
-    """Least-squares parabola through some samples, highest power first."""
-    curve, slope, offset = np.polyfit(clock[samples], heights[samples], 2)
-    return float(curve), float(slope), float(offset)
+def fall_samples(
+    clock: Array, heights: Array, start: int, index: int, noise: float
+) -> tuple[Indices, Array]:
+    """Samples of the free fall before an impact, and their parabola.
 
-
-def fall_samples(clock: Array, heights: Array, start: int, index: int, noise: float) -> Samples:
-    """Samples of the free fall before an impact.
-
-    Of what leads down to the impact, the largest lower share that is a parabola: the ball may have
+    Of what leads down to the impact, the largest lower part that is a parabola: the ball may have
     been held, carried or lowered by hand before.
 
     Args:
@@ -36,6 +35,9 @@ def fall_samples(clock: Array, heights: Array, start: int, index: int, noise: fl
         start: first sample that may belong to it.
         index: a sample within one or two of the impact.
         noise: standard deviation of a height [m].
+
+    Returns:
+        Their indices, at least 5, and the least-squares parabola, highest power first, shape (3,).
 
     Raises:
         NotFoundError: nothing before the impact is a free fall.
@@ -48,21 +50,21 @@ def fall_samples(clock: Array, heights: Array, start: int, index: int, noise: fl
     depth = top - low
     if depth < max(MIN_DROP_M, 15 * noise):
         raise NotFoundError(f"the ball falls by only {1000 * depth:.0f} mm")
-    for share in (0.95, 0.8, 0.6, 0.4, 0.25):
-        high = np.flatnonzero(heights[first : index - 1] > low + share * depth)
+    for fraction in _FALL_FRACTIONS:
+        high = np.flatnonzero(heights[first : index - 1] > low + fraction * depth)
         begin = first + (int(high[-1]) + 1 if len(high) else 0)
-        samples = np.arange(begin, index - 1)
-        if len(samples) < 5:
+        fall = np.arange(begin, index - 1)
+        if len(fall) < 5:
             continue
-        parabola = fit_parabola(clock, heights, samples)
-        residual = _rms(heights[samples] - np.polyval(parabola, clock[samples]))
-        if parabola[0] < 0 and residual < 2 * noise + 0.002 * depth:
-            return samples
+        parabola = np.polyfit(clock[fall], heights[fall], 2)
+        residuals = heights[fall] - np.polyval(parabola, clock[fall])
+        if parabola[0] < 0 and np.sqrt(np.mean(residuals**2)) < 2 * noise + 0.002 * depth:
+            return fall, parabola
     raise NotFoundError("no free fall is seen before an impact (carried, or too few samples)")
 
 
 def release(
-    clock: Array, heights: Array, start: int, last: int, meeting: ImpactFit
+    clock: Array, heights: Array, start: int, last: int, impact: ImpactFit
 ) -> tuple[float, float]:
     """When [s] and at what height [m] a fall began: the apex of its upper quarter.
 
@@ -73,43 +75,47 @@ def release(
         heights: heights [m], shape (T,).
         start: first sample that may belong to it.
         last: last sample of the fall.
-        meeting: its impact.
+        impact: at its end.
     """
-    contact = meeting.contact_m
+    contact = impact.contact_m
     begin, top = last, float(heights[max(start, last - 5) : last + 1].max())
     while begin > start and heights[begin - 1] >= heights[begin] - 0.01 * (top - contact):
         begin -= 1
         top = max(top, float(heights[begin]))
-    share = (heights[begin : last + 1] - contact) / (top - contact)
-    upper = begin + np.flatnonzero((share > 0.75) & (share < 0.985))
-    apex_s, apex_m = _apex(meeting.fall)
+    fraction = (heights[begin : last + 1] - contact) / (top - contact)
+    upper = begin + np.flatnonzero((fraction > 0.75) & (fraction < 0.985))
+    parabolas = [impact.fall]
     if len(upper) >= 5:
-        parabola = fit_parabola(clock, heights, upper)
-        if parabola[0] < 0:
-            upper_s, upper_m = _apex(parabola)
-            if abs(upper_s - apex_s) < 0.25 * (meeting.impact_s - apex_s):
-                return upper_s, upper_m
+        parabola = np.polyfit(clock[upper], heights[upper], 2)
+        parabolas += [parabola] if parabola[0] < 0 else []
+    (apex_s, apex_m), *others = [
+        (-slope / (2 * curve), offset - slope**2 / (4 * curve))
+        for curve, slope, offset in (parabola.tolist() for parabola in parabolas)
+    ]
+    if others and abs(others[0][0] - apex_s) < 0.25 * (impact.impact_s - apex_s):
+        return others[0]
     return apex_s, apex_m
 
 
-def flight_samples(
-    clock: Array, heights: Array, index: int, fall: Parabola, noise: float
-) -> Samples:
+def flight_samples(clock: Array, heights: Array, index: int, fall: Array, noise: float) -> Indices:
     """Samples of the first flight: as long as they lie on one parabola of the fall's curvature.
+
+    How many they are is found by doubling, then by bisection.
 
     Args:
         clock: times [s], shape (T,).
         heights: heights [m], shape (T,).
         index: a sample within one or two of the impact.
-        fall: parabola of the fall, highest power first.
+        fall: parabola of the fall, highest power first, shape (3,).
         noise: standard deviation of a height [m].
 
     Returns:
-        At least 3 of them, or none.
+        Their indices: at least 3, or none.
     """
     tolerance = 4 * noise + 5e-4 * np.ptp(heights)
     landing = falling_to(float(heights[max(index - 3, 0) : index + 4].min()), fall)
-    doubt_s = (clock[index] - clock[index - 1]) / 2 + 3 * noise / max(landing.fall_speed, 1e-3)
+    speed_m_s = max(landing.impact_speed_m_s, 1e-3)
+    doubt_s = (clock[index] - clock[index - 1]) / 2 + 3 * noise / speed_m_s
     begin = int(np.searchsorted(clock, landing.impact_s + doubt_s))
 
     def is_flight(stop: int) -> bool:
@@ -134,83 +140,65 @@ def flight_samples(
 
 
 def rest_and_end(
-    clock: Array, heights: Array, index: int, meeting: ImpactFit, noise: float
-) -> tuple[Samples, int]:
+    clock: Array, heights: Array, index: int, impact: Impact, noise: float
+) -> tuple[Indices, int]:
     """Samples at rest after the bounces (perhaps none), and where the ball is moved again.
 
     Args:
         clock: times [s], shape (T,).
         heights: heights [m], shape (T,).
         index: a sample within one or two of the impact.
-        meeting: the impact.
+        impact: the impact.
         noise: standard deviation of a height [m].
     """
-    contact, depth = meeting.contact_m, meeting.drop_height_m
+    contact, depth = impact.contact_m, impact.drop_height_m
     after = heights[index + 1 :]
     above = np.flatnonzero(after > contact + 1.1 * depth + 6 * noise)
     end = index + 1 + (int(above[0]) if len(above) else len(after))
     width = int(np.ceil(_REST_WINDOW_S / float(np.median(np.diff(clock))))) + 1
-    if end - index - 1 < width:
+    third = width // 3
+    sag = impact.gravity_m_s2 * (_REST_WINDOW_S / 3) ** 2
+    begin, size = index + 1, _FIRST_BLOCK
+    while end - begin >= width:
+        block = heights[begin : min(begin + size + width - 1, end)]
+        windows = np.lib.stride_tricks.sliding_window_view(block, width)
+        highest, lowest = windows.max(axis=1), windows.min(axis=1)
+        # Near the top of a bounce a ball hardly moves either, but it curves.
+        edges = windows[:, :third].mean(axis=1) + windows[:, -third:].mean(axis=1)
+        bend = edges - 2 * windows[:, third : width - third].mean(axis=1)
+        still = (highest - lowest < 0.002 * depth + 8 * noise) & (np.abs(bend) < sag / 2)
+        low = highest < contact + 0.05 * depth + 8 * noise
+        settled = np.flatnonzero(still & low)
+        if len(settled):
+            begin += int(settled[0])
+            break
+        begin, size = begin + size, 2 * size
+    else:
         return np.arange(0), end
-    settled = _settled(heights[index + 1 : end], width, meeting, noise)
-    if settled is None:
-        return np.arange(0), end
-    begin = index + 1 + settled
     level = np.median(heights[begin : begin + width])
     moved = np.flatnonzero(np.abs(heights[begin:end] - level) > 0.02 * depth + 8 * noise)
     end = begin + int(moved[0]) if len(moved) else end
     return np.arange(begin, end), end
 
 
-def _settled(after: Array, width: int, meeting: ImpactFit, noise: float) -> int | None:
-    """The first of the heights after an impact from which on the ball rests for `width` samples."""
-    contact, depth = meeting.contact_m, meeting.drop_height_m
-    third = width // 3
-    sag = meeting.gravity * (_REST_WINDOW_S / 3) ** 2
-    start, size = 0, _FIRST_BLOCK
-    while len(after) - start >= width:
-        block = after[start : start + size + width - 1]
-        windows = np.lib.stride_tricks.sliding_window_view(block, width)
-        highest, lowest = windows.max(axis=1), windows.min(axis=1)
-        # Near the top of a bounce a ball hardly moves either, but it curves.
-        ends = windows[:, :third].mean(axis=1) + windows[:, -third:].mean(axis=1)
-        bend = ends - 2 * windows[:, third : width - third].mean(axis=1)
-        still = (highest - lowest < 0.002 * depth + 8 * noise) & (np.abs(bend) < sag / 2)
-        low = highest < contact + 0.05 * depth + 8 * noise
-        settled = np.flatnonzero(still & low)
-        if len(settled):
-            return start + int(settled[0])
-        start, size = start + size, 2 * size
-    return None
-
-
-def rebounds(since: Array, heights: Array, meeting: ImpactFit, noise: float) -> bool:
+def has_rebound(since: Array, heights: Array, impact: Impact, noise: float) -> bool:
     """Whether the ball rises after the impact by more than chance would have it.
 
     Args:
         since: times after the impact [s], shape (T,).
         heights: heights [m], shape (T,).
-        meeting: the impact.
+        impact: the impact.
         noise: standard deviation of a height [m].
 
     Raises:
         NotFoundError: the recording ends too early to tell.
     """
-    contact, depth = meeting.contact_m, meeting.drop_height_m
-    early = (since > 0) & (since < 0.25 * meeting.fall_time_s)
+    contact, depth = impact.contact_m, impact.drop_height_m
+    early = (since > 0) & (since < 0.25 * impact.fall_time_s)
     if not early.any():
         raise NotFoundError("the recording ends before the ball rebounds")
     rise = float(np.mean(heights[early])) - contact
     if rise > 3 * noise / np.sqrt(early.sum()) + 1e-5 * depth:
         return True
-    later = (since > 0) & (since < 2 * meeting.fall_time_s)
+    later = (since > 0) & (since < 2 * impact.fall_time_s)
     return float(np.quantile(heights[later], 0.97)) - contact > 3 * noise + 1e-4 * depth
-
-
-def _apex(parabola: Parabola) -> tuple[float, float]:
-    curve, slope, offset = parabola
-    return -slope / (2 * curve), offset - slope**2 / (4 * curve)
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))

@@ -1,35 +1,60 @@
-"""Problem, Estimator, Trace: one loop fills every table."""
+"""Problem, Estimator, Trace: what every method is given and what it returns."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 
-from analysis.estimators.observation import Observation
+from analysis.tunenet.network import Model
 from recorders.simulators.base import Parameter, Simulator
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
+from tunenet_logs.errors import UsageError
 
 
-class CountingSimulator:
-    """A simulator that knows how often it was asked, so that every method pays alike."""
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """The paper's o: a curve on a fixed grid, which a network or a cost looks at.
 
-    def __init__(self, simulator: Simulator) -> None:
-        self._simulator = simulator
-        self.rollouts = 0
+    Attributes:
+        values: float64, shape (L, C); NaN where the episode shows nothing.
+        axis: the L points of the grid, increasing.
+        axis_name: what the axis is, with its unit.
+        value_names: what the C channels are, with their units.
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """See `Simulator.parameters`."""
-        return self._simulator.parameters
+    Raises:
+        ValueError: shapes disagree.
+    """
 
-    def rollout(self, values: Mapping[str, float]) -> Episode:
-        """See `Simulator.rollout`."""
-        self.rollouts += 1
-        return self._simulator.rollout(values)
+    values: Array
+    axis: Array
+    axis_name: str
+    value_names: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        expected = (len(self.axis), len(self.value_names))
+        if self.values.shape != expected:
+            raise ValueError(f"values have shape {self.values.shape}, expected {expected}")
+        self.values.flags.writeable = False
+        self.axis.flags.writeable = False
+
+
+def resample(axis: Array, values: Array, wanted: Array) -> Array:
+    """Linear interpolation at `wanted`, NaN outside (Resample of algorithm 1).
+
+    Args:
+        axis: shape (T,), increasing.
+        values: shape (T,).
+        wanted: shape (L,).
+
+    Returns:
+        Shape (L,).
+    """
+    return np.interp(wanted, axis, values, left=np.nan, right=np.nan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,17 +65,53 @@ class Evaluation:
     observation: Observation
 
 
+@dataclass(frozen=True, eq=False)
+class ExtraEstimate:
+    """A quantity that an exact fit finds beside the tuned parameters, where the log allows it.
+
+    Attributes:
+        name: the field's standard term, e.g. "payload_com".
+        unit: of all its numbers.
+        values: shape (C,).
+        interval95: lower and upper end for each, shape (C, 2).
+    """
+
+    name: str
+    unit: str
+    values: Array
+    interval95: Array
+
+
+@dataclass(frozen=True, eq=False)
+class FitResult:
+    """What an experiment's exact fit finds.
+
+    Attributes:
+        values: of the tuned parameters, shape (P,).
+        interval95: lower and upper end for each, shape (P, 2).
+        extra: what else it finds.
+        detail: the fit itself, for the experiment's own checks and review.
+    """
+
+    values: Array
+    interval95: Array
+    extra: tuple[ExtraEstimate, ...] = ()
+    detail: Any = None
+
+
 class Problem:
-    """A target to match and a simulator to match it with.
+    """A target to match, a simulator to match it with, and an exact fit where there is one.
 
     Args:
         target: o_T, what is to be matched.
         simulator: f, set up like the target's rig.
         observe: z_P, what an observer sees of a rollout; comparable with `target`.
-        initial: the P values that tuning starts from.
+        initial: the P values that the estimation starts from.
+        exact_fit: from P starting values to the parameters that explain every sample best, without
+            rollouts; it returns None where the log shows too little. None where no such fit exists.
 
     Raises:
-        UsageError: an initial value is not finite or out of bounds.
+        UsageError: an initial value is missing, not finite or out of bounds.
     """
 
     def __init__(
@@ -59,47 +120,51 @@ class Problem:
         simulator: Simulator,
         observe: Callable[[Episode], Observation],
         initial: Array,
+        exact_fit: Callable[[Array], FitResult | None] | None = None,
     ) -> None:
         self.target = target
+        self.simulator = simulator
+        self.rollouts = 0
+        """Simulator runs so far: every method pays for each."""
+        self.exact_fit = exact_fit
+        if len(initial) != len(self.parameters):
+            names = ", ".join(parameter.name for parameter in self.parameters)
+            raise UsageError(f"{len(initial)} initial values for {names}; give one for each")
         self.initial = np.array(
-            [one.checked(value) for one, value in zip(simulator.parameters, initial, strict=True)]
+            [
+                parameter.checked(value)
+                for parameter, value in zip(self.parameters, initial, strict=True)
+            ]
         )
-        self._simulator = CountingSimulator(simulator)
         self._observe = observe
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """What is to be found."""
-        return self._simulator.parameters
-
-    @property
-    def rollouts(self) -> int:
-        """Simulator runs so far."""
-        return self._simulator.rollouts
+        return self.simulator.parameters
 
     def evaluate(self, values: Array) -> Evaluation:
         """Run the simulator at `values`, shape (P,), and observe it."""
-        named = {one.name: float(value) for one, value in zip(self.parameters, values, strict=True)}
-        episode = self._simulator.rollout(named)
+        names = [parameter.name for parameter in self.parameters]
+        settings: Mapping[str, float] = dict(zip(names, map(float, values), strict=True))
+        self.rollouts += 1
+        episode = self.simulator.rollout(settings)
         return Evaluation(episode, self._observe(episode))
 
     def misfit(self, evaluation: Evaluation) -> Array:
-        """What the observation of `evaluation` has more than the target has, shape (L * C,).
-
-        0 where either shows nothing.
-        """
+        """Simulated less observed, shape (L * C,); 0 where either shows nothing."""
         difference = evaluation.observation.values - self.target.values
         return np.where(np.isfinite(difference), difference, 0.0).ravel()
 
     def clamp(self, values: Array) -> Array:
-        """The nearest values that physics allows, shape (P,)."""
-        low, high = np.array([one.bounds for one in self.parameters]).T
+        """The nearest values within physical bounds, shape (P,)."""
+        low, high = np.array([parameter.bounds for parameter in self.parameters]).T
         return np.clip(values, low, high)
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One iterate: the method's answer after so many rollouts.
+    """One iterate: the method's answer after a number of rollouts.
 
     Attributes:
         values: shape (P,).
@@ -114,9 +179,16 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """The iterates of one estimation, the initial guess first, by increasing rollouts."""
+    """The iterates of one estimation, the initial guess first, by increasing rollouts.
+
+    Attributes:
+        fit: the exact fit whose values the last step has; None where no fit ended it.
+        method: where less was done than the estimator's name says; "" for all of it.
+    """
 
     steps: tuple[Step, ...]
+    fit: FitResult | None = None
+    method: str = ""
 
     @property
     def estimate(self) -> Array:
@@ -124,22 +196,47 @@ class Trace:
         return self.steps[-1].values
 
     def after(self, rollouts: int) -> Array:
-        """The answer to whoever pays for so many rollouts, shape (P,)."""
+        """The answer to whoever pays for this number of rollouts, shape (P,)."""
         return [step for step in self.steps if step.rollouts <= rollouts][-1].values
 
 
-class Estimator(Protocol):
+@dataclass(frozen=True)
+class Setup:
+    """What a method may be built from.
+
+    Attributes:
+        model: the network for the task and preset; None for a method that uses none.
+        seed: of the methods that draw.
+    """
+
+    model: Model | None = None
+    seed: int = 0
+
+
+class Estimator(ABC):
     """A method: from a problem to a trace of iterates."""
 
-    @property
-    def name(self) -> str:
-        """What it is called on the command line and in tables."""
-        ...
+    name: str
+    """What it is called on the command line and in tables."""
 
+    uses_network: ClassVar[bool] = False
+    """Whether `build` needs `Setup.model`; it then starts from the task's initial guess.
+
+    The others start from the middle of the parameters' ranges.
+    """
+
+    @classmethod
+    def build(cls, setup: Setup) -> Estimator:  # noqa: ARG003 (most methods need nothing)
+        """The method as `--method` offers it."""
+        return cls()
+
+    @abstractmethod
     def estimate(self, problem: Problem, rollouts: int) -> Trace:
         """Spend at most `rollouts` on the problem.
 
         Returns:
             An answer for every count of rollouts at which there is a new one; the first for none.
+
+        Raises:
+            NotFoundError: the method does not fit the problem; the message says why.
         """
-        ...

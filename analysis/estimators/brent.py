@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from analysis.estimators.base import Problem, Trace
-from analysis.estimators.search import Search
+from analysis.estimators.base import Estimator, Problem, Trace
+from analysis.estimators.search import Search, check_one_parameter
 
 _CLOSE = 1e-6
 
 
-class Brent:
+class Brent(Estimator):
     """Golden sections and parabolas over all that physics allows; one parameter.
 
     It has no use for the initial guess. It finds one local minimum of the cost, of which there are
@@ -21,7 +21,7 @@ class Brent:
         """The best place so far; see `Estimator.estimate`."""
         from scipy.optimize import minimize_scalar
 
-        (parameter,) = problem.parameters
+        parameter = check_one_parameter(problem, self.name)
         search = Search(problem, rollouts)
         options = {"xatol": _CLOSE, "maxiter": max(rollouts, 1)}
         return search.run(

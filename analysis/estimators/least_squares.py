@@ -6,12 +6,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from analysis.estimators.base import Problem, Trace
+from analysis.estimators.base import Estimator, Problem, Trace
 from analysis.estimators.search import Search
 from tunenet_logs.arrays import Array
 
 
-class LeastSquares:
+class LeastSquares(Estimator):
     """scipy's trust-region least squares on the misfit, from one start after another.
 
     The first start is the initial guess; the others spread evenly over the bounds. Rollouts for

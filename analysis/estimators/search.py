@@ -8,7 +8,9 @@ from contextlib import suppress
 import numpy as np
 
 from analysis.estimators.base import Evaluation, Problem, Step, Trace
+from recorders.simulators.base import Parameter
 from tunenet_logs.arrays import Array
+from tunenet_logs.errors import NotFoundError
 
 
 class _Spent(Exception):  # noqa: N818 (it ends a search; nothing is wrong)
@@ -84,3 +86,15 @@ class Search:
         values = self._problem.clamp(np.atleast_1d(np.asarray(values, dtype=np.float64)))
         if not np.array_equal(values, self._steps[-1].values):
             self._steps.append(Step(values, self._problem.rollouts))
+
+
+def check_one_parameter(problem: Problem, method: str) -> Parameter:
+    """The problem's only parameter.
+
+    Raises:
+        NotFoundError: it has several.
+    """
+    if len(problem.parameters) != 1:
+        names = ", ".join(parameter.name for parameter in problem.parameters)
+        raise NotFoundError(f"the method {method} is for one parameter, not for {names}")
+    return problem.parameters[0]

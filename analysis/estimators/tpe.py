@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from analysis.estimators.base import Problem, Trace
+from analysis.estimators.base import Estimator, Problem, Setup, Trace
 from analysis.estimators.search import Search
+from analysis.optional_dependencies import needed
 
 
-class Tpe:
+class Tpe(Estimator):
     """optuna's sampler on the cost, over all that physics allows, the initial guess first.
 
     Args:
@@ -20,13 +21,18 @@ class Tpe:
     def __init__(self, seed: int) -> None:
         self._seed = seed
 
+    @classmethod
+    def build(cls, setup: Setup) -> Tpe:
+        """See `Estimator.build`."""
+        return cls(setup.seed)
+
     def estimate(self, problem: Problem, rollouts: int) -> Trace:
         """The best place so far; see `Estimator.estimate`."""
         search = Search(problem, rollouts)
         return search.run(lambda: self._optimize(search, problem))
 
     def _optimize(self, search: Search, problem: Problem) -> None:
-        import optuna
+        optuna = needed("optuna")
 
         optuna.logging.set_verbosity(optuna.logging.WARNING)
         study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=self._seed))

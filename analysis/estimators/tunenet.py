@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
-from analysis.estimators.base import Problem, Step, Trace
+from analysis.estimators.base import Estimator, Problem, Setup, Step, Trace
 from analysis.tunenet.network import Model
 
 
-class TuneNet:
+class TuneNet(Estimator):
     """Adds the network's estimate of the parameter residual, K times (eq. 5), within bounds.
 
     Resample is part of the observations: both functions give them on the same axis.
     """
 
     name = "tunenet"
+    uses_network = True
 
     def __init__(self, model: Model) -> None:
         self._model = model
+
+    @classmethod
+    def build(cls, setup: Setup) -> TuneNet:
+        """See `Estimator.build`."""
+        assert setup.model is not None
+        return cls(setup.model)
 
     def estimate(self, problem: Problem, rollouts: int) -> Trace:
         """One rollout an iteration; see `Estimator.estimate`."""
@@ -25,9 +32,8 @@ class TuneNet:
             spent = problem.rollouts
             evaluation = problem.evaluate(values)
             steps.append(Step(values, spent, evaluation))
-            residual = self._model(
-                evaluation.observation.values[None], problem.target.values[None]
-            )[0]
+            simulated, target = evaluation.observation.values, problem.target.values
+            residual = self._model(simulated[None], target[None])[0]
             values = problem.clamp(values + residual)
         steps.append(Step(values, problem.rollouts))
         return Trace(tuple(steps))

@@ -6,7 +6,6 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from analysis.cli.options import jobs_option
 from analysis.evaluation.printing import (
@@ -20,10 +19,7 @@ from analysis.evaluation.printing import (
 )
 from tunenet_logs.commandline import Parser, run, whole
 from tunenet_logs.errors import UsageError
-from tunenet_logs.wording import one_line
-
-if TYPE_CHECKING:
-    pass
+from tunenet_logs.text import one_line
 
 _DESCRIPTION = """\
 Repeat an experiment of the TuneNet paper from nothing, training and test targets drawn
@@ -34,7 +30,7 @@ anew for each seed, and print its figures beside the paper's.
   drop       restitution of a bouncing ball from its height: every method of the paper,
              what a user would pick instead, and ours, by rollouts spent (table 2, figure)
   motion     where the ball will be: tuned simulators and one-step predictors (table 3)
-  intervals  how often the 95 % intervals of recorded drops hold the truth; part of drop
+  intervals  how often the 95 % intervals of recorded drops contain the truth; part of drop
   video      restitution from tracks of filmed drops, good and bad ones: errors, intervals,
              verdicts
   bounce-shot  drop, record, tune, plan, shoot, in a hidden world with air, spin, balls out of
@@ -61,11 +57,14 @@ ours: {", ".join(METHODS[11:13])}
 the ablation, which has no curve in the figure: {", ".join(METHODS[13:])}"""
 
 _FILES = ("json", "csv", "png", "rrd")
+"""Options that name a file to write, in that order."""
+
 _ONLY_DROP = ("methods", "rollouts", "png", "rrd")
 _TARGETS = {"video": FULL_VIDEO, "payload": 300, "bounce-shot": FULL_SHOT}
 _SEEDS = {"payload": 5}
-_PAPER_SEEDS = 3
-_PAPER_TARGETS = 100
+_DEFAULT_SEEDS = 3
+_DEFAULT_TARGETS = 100
+"""Unless an experiment has its own above; 100 targets as in the paper."""
 
 
 def build_parser() -> Parser:
@@ -152,10 +151,10 @@ def _eval(arguments: argparse.Namespace) -> int:
     from tunenet_logs.progress import Progress
 
     progress = Progress(quiet=arguments.quiet)
-    count = arguments.seeds or _SEEDS.get(arguments.experiment, _PAPER_SEEDS)
+    count = arguments.seeds or _SEEDS.get(arguments.experiment, _DEFAULT_SEEDS)
     seeds = tuple(range(arguments.first_seed, arguments.first_seed + count))
     if arguments.targets is None:
-        arguments.targets = _TARGETS.get(arguments.experiment, _PAPER_TARGETS)
+        arguments.targets = _TARGETS.get(arguments.experiment, _DEFAULT_TARGETS)
     blocks, writers = EXPERIMENTS[arguments.experiment](arguments, seeds, progress)
     for block in blocks:
         print(block + "\n", flush=True)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from tunenet_logs.errors import UsageError
 
 if TYPE_CHECKING:
-    from analysis.evaluation.drop_networks import Effort
+    from analysis.evaluation.drop.networks import Effort
     from tunenet_logs.progress import Progress
 
 METHODS = (
@@ -19,58 +19,59 @@ METHODS = (
     *("network", "ours"),
     *("concatenation", "difference", "antisymmetric"),
 )
-"""Those of `drop_roster`, which takes a second to load."""
+"""Those of `drop.method_registry`, which takes a second to load."""
 
 SECTIONS = ("set-A", "set-B", "set-C", "slope", "drag", "bad", "clips", "transformed")
-"""Those of `video_cells`, which takes a second to load, and of `clips`."""
+"""Those of `video.sections`, which takes a second to load, and of `clips`."""
 
 SHOT_SECTIONS = ("campaigns", "drops")
-"""Policies in the hidden world, and what drops there are taken for."""
+"""Policies in the hidden world, and verdicts on its drops."""
 
 FULL_SHOT = 60
-"""Trials of a campaign, of which shares make smaller runs."""
+"""Trials of a campaign; fewer make fewer drops in proportion."""
 
 PAYLOAD_SECTIONS = ("masses", "logs")
 """Table 1 of the paper, and logs like a real driver's."""
 
 FULL_VIDEO = 200
-"""Tracks for each seed and line of `video`, of which shares make smaller runs."""
+"""Tracks for each seed and line of `video`; fewer make fewer clips in proportion."""
 
 Writers = dict[str, Callable[[Path], None]]
 """What an experiment can write, once all of its text is printed."""
 
 
-Evaluate = Callable[
+Experiment = Callable[
     [argparse.Namespace, tuple[int, ...], "Progress"], tuple[Iterable[str], Writers]
 ]
+"""Runs with options and seeds; gives blocks of text as they are done, and the files' writers."""
 
 
 def _drop(
     arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
 ) -> tuple[Iterable[str], Writers]:
     """Table 2, its figure and the intervals."""
-    from analysis.evaluation.drop import DropOrder, run_drop
-    from analysis.evaluation.figure import write_figure
-    from analysis.evaluation.method_registry import roster
-    from analysis.evaluation.records import drop_csv, drop_json
-    from analysis.evaluation.tables import drop_tables
+    from analysis.evaluation.drop.figure import write_figure
+    from analysis.evaluation.drop.method_registry import choose_methods
+    from analysis.evaluation.drop.records import drop_csv, drop_json
+    from analysis.evaluation.drop.run import DropExperiment, run_drop
+    from analysis.evaluation.drop.tables import drop_tables
     from analysis.optional_dependencies import needed
 
     methods = _named(arguments, "methods", METHODS)
-    chosen = roster(methods)
+    chosen = choose_methods(methods)
     for name in ("png", "rrd"):
         if getattr(arguments, name) is not None and not chosen.has_curves:
             raise UsageError(f"--{name}: no method chosen has a curve to draw; leave it out")
     if arguments.png is not None:
         needed("matplotlib")
-    order = DropOrder(
+    order = DropExperiment(
         *(seeds, arguments.targets, methods, arguments.jobs, _effort(arguments)),
         rollouts=arguments.rollouts,
     )
     results = run_drop(order, progress)
 
     def write_rrd(path: Path) -> None:
-        from analysis.evaluation.review.convergence import write_convergence
+        from analysis.evaluation.drop.review.convergence import write_convergence
 
         write_convergence(results, path)
 
@@ -86,9 +87,9 @@ def _motion(
     arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
 ) -> tuple[Iterable[str], Writers]:
     """Table 3."""
-    from analysis.evaluation.motion_run import run_motion
-    from analysis.evaluation.motion_tables import motion_lines
-    from analysis.evaluation.records import motion_csv, motion_json
+    from analysis.evaluation.motion.records import motion_csv, motion_json
+    from analysis.evaluation.motion.run import run_motion
+    from analysis.evaluation.motion.tables import motion_lines
 
     targets = arguments.targets
     rows = run_motion(seeds, targets, arguments.jobs, progress, _effort(arguments))
@@ -101,10 +102,10 @@ def _motion(
 def _intervals(
     arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
 ) -> tuple[Iterable[str], Writers]:
-    """How often intervals hold."""
-    from analysis.evaluation.intervals import interval_coverages
-    from analysis.evaluation.records import intervals_csv, intervals_json
-    from analysis.evaluation.tables import coverage_table
+    """Coverage of the intervals of recorded drops."""
+    from analysis.evaluation.drop.intervals import interval_coverages
+    from analysis.evaluation.drop.records import intervals_csv, intervals_json
+    from analysis.evaluation.drop.tables import coverage_table
 
     targets = arguments.targets
     rows = interval_coverages(seeds, targets, arguments.jobs, progress)
@@ -118,10 +119,10 @@ def _payload(
     arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
 ) -> tuple[Iterable[str], Writers]:
     """Table 1, and payloads in logs like a real driver's."""
-    from analysis.evaluation.payload_logs import LogRow, log_rows
-    from analysis.evaluation.payload_masses import MassOrder, MassRow, mass_rows
-    from analysis.evaluation.payload_records import payload_csv, payload_json
-    from analysis.evaluation.payload_tables import log_table, mass_table
+    from analysis.evaluation.payload.logs import LogRow, log_rows
+    from analysis.evaluation.payload.masses import MassOrder, MassRow, mass_rows
+    from analysis.evaluation.payload.records import payload_csv, payload_json
+    from analysis.evaluation.payload.tables import log_table, mass_table
 
     wanted = _sections(arguments, PAYLOAD_SECTIONS)
     effort = (arguments.pairs, arguments.epochs)
@@ -150,15 +151,15 @@ def _bounce_shot(
     """The third experiment, in a hidden world."""
     from math import ceil as round_up
 
-    from analysis.evaluation.shots.acceptance import DROPS, Judged, judged_drops
+    from analysis.evaluation.shots.acceptance import DROPS, JudgedDrop, judged_drops
     from analysis.evaluation.shots.campaign import TrialResult, run_campaign
-    from analysis.evaluation.shots.shot_records import shot_csv, shot_json
-    from analysis.evaluation.shots.shot_tables import acceptance_table, campaign_table
+    from analysis.evaluation.shots.records import shot_csv, shot_json
+    from analysis.evaluation.shots.tables import acceptance_table, campaign_table
 
     wanted = _sections(arguments, SHOT_SECTIONS)
     results: list[TrialResult] = []
-    bad: list[Judged] = []
-    good: list[Judged] = []
+    bad: list[JudgedDrop] = []
+    good: list[JudgedDrop] = []
 
     def blocks() -> Iterator[str]:
         if "campaigns" in wanted:
@@ -190,8 +191,7 @@ def _video(
     """Tracks and clips of filmed drops."""
     from math import ceil as round_up
 
-    from analysis.evaluation.clip_tables import clip_table, transformed_table
-    from analysis.evaluation.clips import (
+    from analysis.evaluation.clips.run import (
         COUNT,
         TRANSFORMED,
         ClipResult,
@@ -199,13 +199,14 @@ def _video(
         clip_results,
         transformed_results,
     )
-    from analysis.evaluation.video import VideoOrder, VideoRow, track_sections
-    from analysis.evaluation.video_cells import TRACK_SECTIONS, Section
-    from analysis.evaluation.video_records import video_csv, video_json
-    from analysis.evaluation.video_tables import video_blocks
+    from analysis.evaluation.clips.tables import clip_table, transformed_table
+    from analysis.evaluation.video.records import video_csv, video_json
+    from analysis.evaluation.video.run import VideoOrder, VideoRow, track_sections
+    from analysis.evaluation.video.sections import TRACK_SECTIONS, Section
+    from analysis.evaluation.video.tables import video_blocks
 
     wanted = _sections(arguments, SECTIONS)
-    chosen = tuple(one for one in TRACK_SECTIONS if one.name in wanted)
+    chosen = tuple(section for section in TRACK_SECTIONS if section.name in wanted)
     order = VideoOrder(seeds, arguments.targets, arguments.jobs)
     rows: list[VideoRow] = []
 
@@ -220,12 +221,12 @@ def _video(
     def blocks() -> Iterator[str]:
         if chosen:
             yield from video_blocks(order, sections())
-        seed, share = seeds[0], min(arguments.targets / FULL_VIDEO, 1.0)
+        seed, fraction = seeds[0], min(arguments.targets / FULL_VIDEO, 1.0)
         if "clips" in wanted:
-            clips.extend(clip_results(seed, round_up(COUNT * share), order.jobs, progress))
+            clips.extend(clip_results(seed, round_up(COUNT * fraction), order.jobs, progress))
             yield clip_table(clips)
         if "transformed" in wanted:
-            count = round_up(TRANSFORMED * share)
+            count = round_up(TRANSFORMED * fraction)
             transformed.extend(transformed_results(seed, count, order.jobs, progress))
             yield transformed_table(transformed)
 
@@ -235,16 +236,16 @@ def _video(
     }
 
 
-def _sections(arguments: argparse.Namespace, there_is: Sequence[str]) -> Sequence[str]:
-    wanted = _named(arguments, "sections", there_is) or there_is
+def _sections(arguments: argparse.Namespace, available: Sequence[str]) -> Sequence[str]:
+    wanted = _named(arguments, "sections", available) or available
     for name in wanted:
-        if name not in there_is:
-            raise UsageError(f"no section {name!r}; there is: {', '.join(there_is)}")
+        if name not in available:
+            raise UsageError(f"no section {name!r}; there is: {', '.join(available)}")
     return wanted
 
 
 def _named(
-    arguments: argparse.Namespace, option: str, there_is: Sequence[str]
+    arguments: argparse.Namespace, option: str, available: Sequence[str]
 ) -> tuple[str, ...] | None:
     """The names that an option lists; None where it is not given."""
     listed = getattr(arguments, option)
@@ -252,12 +253,12 @@ def _named(
         return None
     names = tuple(filter(None, (name.strip() for name in listed.split(","))))
     if not names:
-        raise UsageError(f"--{option} names none; there is: {', '.join(there_is)}")
+        raise UsageError(f"--{option} names none; there is: {', '.join(available)}")
     return names
 
 
 def _effort(arguments: argparse.Namespace) -> Effort:
-    from analysis.evaluation.drop_networks import Effort
+    from analysis.evaluation.drop.networks import Effort
 
     return Effort(arguments.pairs, arguments.epochs)
 
@@ -269,7 +270,7 @@ def _write(path: Path, text: str) -> None:
         partial.write_text(text, "utf-8")
 
 
-EXPERIMENTS: dict[str, Evaluate] = {
+EXPERIMENTS: dict[str, Experiment] = {
     "payload": _payload,
     "drop": _drop,
     "motion": _motion,

@@ -1,51 +1,51 @@
-"""What a log says of an arm: fresh samples of its joints' positions, velocities and torques.
+"""An arm's recording: the new samples of its joints' positions, velocities and torques.
 
 A driver publishes faster than it measures, and repeats what it has: each field keeps only the
-samples that are new. Positions may be in degrees, and jump where an angle is cut to one turn.
+samples that are new. What else drivers do is undone in `driver_quirks.py`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.payload.joint_angles import in_radians
-from analysis.payload.joint_names import match_joints
-from analysis.payload.refresh_times import even_clock
+from analysis.payload.driver_quirks import even_clock, in_radians, match_joints
 from analysis.selection import check_start
 from recorders.simulators.arm.description import Arm
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, Signal
 from tunenet_logs.errors import NotFoundError
-from tunenet_logs.wording import listed
-
-_Found = TypeVar("_Found")
+from tunenet_logs.text import listed
 
 _UNITS = ("N·m", "rad")
-_FEWEST = 20
-_RESTS = 6.0
-"""Refresh periods after which an unchanged position means that the arm rests."""
+"""Of the two fields that a payload is found from."""
 
-_STALE = 0.03
-"""Share of repeated samples from which on a driver publishes faster than it measures."""
+_FEWEST_SAMPLES = 20
+"""Of a field: fewer determine neither a motion nor a rate."""
 
-_JUMP = 0.02
-"""What an arm that begins to move covers by the next sample at most [rad]."""
+_REST_PERIODS = 6.0
+"""Median periods of new samples after which an unchanged position means that the arm rests."""
+
+_STALE_FRACTION = 0.03
+"""Of repeated samples, from which on a driver publishes faster than it measures: two measured
+values are equal now and then."""
+
+_JUMP_RAD = 0.02
+"""What an arm that begins to move covers by the next sample at most."""
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
+class JointSamples:
     """One field of all joints, where it is new.
 
     Attributes:
         topic: where it came from.
         seconds: since the log's first sample [s], shape (T,), increasing.
-        values: shape (T, J), in the arm's order of joints.
-        repeated: share of what was recorded that only repeats the sample before.
+        values: shape (T, J), in the arm's order of joints [rad, rad/s or N·m].
+        repeated: fraction of what was recorded that only repeats the sample before.
         late_s: how much later than measured a sample may be stamped; 0 where its time is known.
     """
 
@@ -56,8 +56,8 @@ class Samples:
     late_s: float
 
     def __post_init__(self) -> None:
-        for one in (self.seconds, self.values):
-            one.flags.writeable = False
+        for array in (self.seconds, self.values):
+            array.flags.writeable = False
 
     @property
     def rate_hz(self) -> float:
@@ -78,14 +78,14 @@ class ArmLog:
     """
 
     joints: tuple[str, ...]
-    position: Samples
-    velocity: Samples | None
-    effort: Samples
+    position: JointSamples
+    velocity: JointSamples | None
+    effort: JointSamples
     warnings: tuple[str, ...]
 
     @property
     def constant(self) -> NDArray[np.bool_]:
-        """Whose torque never changes: no sensor does that; shape (J,)."""
+        """Joints whose torque never changes, as no sensor's does, shape (J,)."""
         return np.ptp(self.effort.values, axis=0) == 0
 
 
@@ -112,45 +112,37 @@ def read_arm_log(
     if topic is not None:
         topic = _checked_topic(episode, arm, topic)
     effort = _pick(episode, "N·m", arm, topic, "joint torques")
-    prefer = topic if topic and _has(episode, topic, "rad") else _topic(effort)
+    in_topic = [signal.unit for signal in episode.signals.values() if _topic(signal) == topic]
+    prefer = topic if topic and "rad" in in_topic else _topic(effort)
     position = _pick(episode, "rad", arm, prefer, "joint positions")
-    velocity = _where_enough(
-        lambda: _pick(episode, "rad/s", arm, _topic(position), "joint velocities")
-    )
+    velocity = velocities = None  # only checked against the positions: a log can do without
+    with suppress(NotFoundError):
+        velocity = _pick(episode, "rad/s", arm, _topic(position), "joint velocities")
     effort = _measured(effort, arm)
-    used = [one for one in (effort, position, velocity) if one is not None]
-    first_ns = min(int(one.stamps_ns[0]) for one in used)
-    last_ns = max(int(one.stamps_ns[-1]) for one in used)
+    used = [signal for signal in (effort, position, velocity) if signal is not None]
+    first_ns = min(int(signal.stamps_ns[0]) for signal in used)
+    last_ns = max(int(signal.stamps_ns[-1]) for signal in used)
     check_start(start_s, (last_ns - first_ns) * 1e-9)
-    begin = -np.inf if start_s is None else start_s
-    end = np.inf if end_s is None else end_s
-
-    def fresh(signal: Signal, *, rests: bool) -> Samples:
-        return _fresh(signal, arm, first_ns, (begin, end), rests=rests)
-
-    places = match_joints(arm.joint_names, effort.columns)
-    found = ArmLog(
-        joints=tuple(effort.columns[place] for place in places),
-        position=fresh(position, rests=True),
-        velocity=_where_enough(lambda: fresh(velocity, rests=True)) if velocity else None,
-        effort=fresh(effort, rests=False),
-        warnings=(),
+    part = (-np.inf if start_s is None else start_s, np.inf if end_s is None else end_s)
+    positions = _fresh(position, arm, first_ns, part, rests=True)
+    if velocity is not None:
+        with suppress(NotFoundError):
+            velocities = _fresh(velocity, arm, first_ns, part, rests=True)
+    efforts = _fresh(effort, arm, first_ns, part, rests=False)
+    angles, remarks = in_radians(positions.seconds, positions.values, arm)
+    columns = match_joints(arm.joint_names, effort.columns)
+    return ArmLog(
+        joints=tuple(effort.columns[column] for column in columns),
+        position=replace(positions, values=angles),
+        velocity=velocities,
+        effort=efforts,
+        warnings=tuple(remarks),
     )
-    angles, notes = in_radians(found.position.seconds, found.position.values, arm)
-    return replace(found, position=replace(found.position, values=angles), warnings=tuple(notes))
-
-
-def _where_enough(found: Callable[[], _Found]) -> _Found | None:
-    """What is found; None where it is not, of what a log can do without."""
-    try:
-        return found()
-    except NotFoundError:
-        return None
 
 
 def has_joints(episode: Episode, topic: str) -> bool:
-    """Whether a topic tells torques or positions of joints, whatever their names."""
-    return any(one.unit in _UNITS for one in episode.signals_of(topic))
+    """Whether a topic has torques or positions of joints, whatever their names."""
+    return any(signal.unit in _UNITS for signal in episode.signals_of(topic))
 
 
 def _checked_topic(episode: Episode, arm: Arm, topic: str) -> str:
@@ -171,25 +163,24 @@ def _checked_topic(episode: Episode, arm: Arm, topic: str) -> str:
             return _topic(signal)
     if reasons:
         raise NotFoundError(reasons[0])
-    usable = {_topic(one) for one in episode.signals.values() if one.unit in _UNITS}
+    usable = {_topic(signal) for signal in episode.signals.values() if signal.unit in _UNITS}
     known = listed(sorted(usable)) or "none"
     raise NotFoundError(f"no usable topic {topic}; there is: {known}")
 
 
 def _pick(episode: Episode, unit: str, arm: Arm, topic: str | None, what: str) -> Signal:
     """The signal of that unit which has all joints: the preferred topic's, else one that moves."""
-    names = arm.joint_names
-    there = [one for one in episode.signals.values() if one.unit == unit]
+    there = [signal for signal in episode.signals.values() if signal.unit == unit]
     if not there:
         raise NotFoundError(
             f"no {what} in this log (there: {listed(tuple(episode.signals))}): record the driver's "
             "JointState with position and effort, or its joint_torques topic beside it"
         )
-    ordered = sorted(there, key=lambda one: (_topic(one) != topic, _is_still(one)))
+    ordered = sorted(there, key=lambda signal: (_topic(signal) != topic, _is_still(signal)))
     reasons: list[str] = []
     for signal in ordered:
         try:
-            match_joints(names, signal.columns)
+            match_joints(arm.joint_names, signal.columns)
         except NotFoundError as error:
             reasons.append(f"{_topic(signal)}: {error}")
         else:
@@ -203,15 +194,15 @@ def _measured(effort: Signal, arm: Arm) -> Signal:
     Raises:
         NotFoundError: no sensor gives these.
     """
-    places = match_joints(arm.joint_names, effort.columns)
-    told: NDArray[np.bool_] = np.any(np.isfinite(effort.values), axis=0)
-    if not told[list(places)].any():
+    columns = match_joints(arm.joint_names, effort.columns)
+    is_measured: NDArray[np.bool_] = np.any(np.isfinite(effort.values), axis=0)
+    if not is_measured[list(columns)].any():
         raise NotFoundError(
             f"{_topic(effort)}: no torque is a number: record the topic on which the driver gives "
             "measured torques"
         )
-    effort = replace(effort, values=np.where(told, effort.values, 0.0))
-    values = effort.values[:, places]
+    effort = replace(effort, values=np.where(is_measured, effort.values, 0.0))
+    values = effort.values[:, columns]
     finite = values[np.isfinite(values).all(axis=1)]
     if len(finite) and not np.any(finite):
         raise NotFoundError(
@@ -227,58 +218,70 @@ def _measured(effort: Signal, arm: Arm) -> Signal:
 
 def _fresh(
     signal: Signal, arm: Arm, first_ns: int, part: tuple[float, float], *, rests: bool
-) -> Samples:
-    """What is new in it; with `rests`, also what stays the same for long."""
-    places = match_joints(arm.joint_names, signal.columns)
+) -> JointSamples:
+    """What is new in a signal.
+
+    Args:
+        signal: of one field.
+        arm: whose joints.
+        first_ns: stamp of the log's first sample.
+        part: first and last time that count [s since `first_ns`].
+        rests: whether a value that stays the same for long counts: the arm rests.
+
+    Raises:
+        NotFoundError: it is too little.
+    """
+    columns = match_joints(arm.joint_names, signal.columns)
     seconds = (signal.stamps_ns - first_ns).astype(np.float64) * 1e-9
-    values = signal.values[:, places]
+    values = signal.values[:, columns]
     keep = np.isfinite(values).all(axis=1) & (seconds >= part[0]) & (seconds <= part[1])
     seconds, values = seconds[keep], values[keep]
     new = np.ones(len(seconds), dtype=bool)
     new[1:] = np.any(values[1:] != values[:-1], axis=1)
-    share = 1 - float(np.mean(new)) if len(new) else 0.0
+    repeated = 1 - float(np.mean(new)) if len(new) else 0.0
     if rests and new.any():
         new |= _resting(seconds, values, new)
-    if np.count_nonzero(new) < _FEWEST:
+    if np.count_nonzero(new) < _FEWEST_SAMPLES:
         raise NotFoundError(
             f"{signal.name}: {np.count_nonzero(new)} samples of all joints are new (wanted: "
-            f"{_FEWEST} or more): record for 5 s, at the driver's highest rate"
+            f"{_FEWEST_SAMPLES} or more): record for 5 s, at the driver's highest rate"
         )
-    before = np.concatenate([seconds[:1], seconds[:-1]])[new]
-    late_s = float(np.median(np.diff(seconds))) if share > _STALE else 0.0
-    times = even_clock(before, seconds[new]) if share > _STALE else None
-    if times is None:
-        return Samples(_topic(signal), seconds[new], values[new], share, late_s)
-    return Samples(_topic(signal), times, values[new], share, 0.0)
+    times, late_s = seconds[new], 0.0
+    if repeated > _STALE_FRACTION:
+        before = np.concatenate([seconds[:1], seconds[:-1]])[new]
+        even = even_clock(before, times)
+        if even is None:
+            late_s = float(np.median(np.diff(seconds)))
+        else:
+            times = even
+    return JointSamples(_topic(signal), times, values[new], repeated, late_s)
 
 
 def _resting(seconds: Array, values: Array, new: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Samples at which nothing has changed for so long that the arm rests.
+    """Samples at which nothing has changed for so long that the arm rests, shape (T,).
 
     Where it then is suddenly elsewhere it did not rest: the driver was stuck.
     """
-    places = np.flatnonzero(new)
-    told = seconds[places] if len(places) >= _FEWEST else seconds
-    period = float(np.median(np.diff(told))) if len(told) > 1 else 0.0
+    indices = np.flatnonzero(new)
+    regular = seconds[indices] if len(indices) >= _FEWEST_SAMPLES else seconds
+    period = float(np.median(np.diff(regular))) if len(regular) > 1 else 0.0
     rests = np.zeros(len(new), dtype=bool)
-    for begin, end in zip(places, [*places[1:], len(new)], strict=True):
-        if end < len(new) and np.abs(values[end] - values[begin]).max() > _JUMP:
+    for begin, end in zip(indices, [*indices[1:], len(new)], strict=True):
+        if end < len(new) and np.abs(values[end] - values[begin]).max() > _JUMP_RAD:
             continue
-        rests[begin:end] = seconds[begin:end] - seconds[begin] > _RESTS * period
+        rests[begin:end] = seconds[begin:end] - seconds[begin] > _REST_PERIODS * period
     return rests
 
 
 def _is_still(signal: Signal) -> bool:
-    told = signal.values[:, np.isfinite(signal.values).any(axis=0)]
-    finite = told[np.isfinite(told).all(axis=1)]
+    """Whether no column that has numbers ever changes."""
+    measured = signal.values[:, np.isfinite(signal.values).any(axis=0)]
+    finite = measured[np.isfinite(measured).all(axis=1)]
     return not len(finite) or bool(np.all(np.ptp(finite, axis=0) == 0))
 
 
-def _has(episode: Episode, topic: str, unit: str) -> bool:
-    return any(one.unit == unit and _topic(one) == topic for one in episode.signals.values())
-
-
 def _topic(signal: Signal) -> str:
+    """The signal's topic, without the name of the field."""
     for ending in (".position", ".velocity", ".effort"):
         if signal.name.endswith(ending):
             return signal.name.removesuffix(ending)

@@ -1,4 +1,9 @@
-"""How an arm moved while its torques were measured: smoothed, with its derivatives."""
+"""How an arm moved while its torques were measured: positions smoothed, with their derivatives.
+
+A penalised spline of degree 5 on even knots, with third differences as its penalty (P-spline,
+Eilers and Marx 1996), so that second derivatives are smooth too; its stiffness by generalised
+cross-validation (Craven and Wahba 1979), for each joint.
+"""
 
 from __future__ import annotations
 
@@ -9,24 +14,49 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.payload.arm_log import ArmLog
-from analysis.payload.smoothing import smoothing_spline
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import NotFoundError
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
 
-
 _ENDS_S = 0.25
-_MOST_GAP = 5.0
-"""Periods of the positions between which nothing is known of the motion."""
-_LEAST_GAP_S = 0.25
-_FEWEST = 20
-_STRAY, _USUAL = 0.05, 20.0
-"""Least that a stray sample is off [rad], and by how many times what is usual."""
-_MOST = 1500
-_SPAN_S = 0.05
-"""Over which the torques of an arm hardly change."""
+"""Left out at both ends: a spline's second derivative is poor where samples are on one side."""
+
+_MOST_GAP_PERIODS, _LEAST_GAP_S = 5.0, 0.25
+"""A gap of the positions within which the motion is unknown: longer than both."""
+
+_FEWEST_TORQUES = 20
+"""Samples; fewer do not determine the terms of a fit."""
+
+_OUTLIER_RAD, _OUTLIER_FACTOR = 0.05, 20.0
+"""A single sample is an outlier where it is off the middle of its neighbours by more than this
+angle and this multiple of the median."""
+
+_MOST_TORQUES = 1500
+"""Samples of a fit: more cost time and add nothing, as an arm's motion is slow."""
+
+_MEAN_SPAN_S = 0.05
+"""Over which the torques of an arm hardly change: spans of samples that are averaged."""
+
+_DEGREE = 5
+"""Of the spline: its second derivative is a cubic, smooth itself."""
+
+_LEAST_KNOT_S = 0.04
+"""Between knots: no arm's acceleration has finer detail."""
+
+_STIFFNESSES = np.logspace(-9, 7, 65)
+"""Penalty weights that are compared: from interpolation to a parabola, four a decade."""
+
+_DOF_COST = 1.4
+"""Of a degree of freedom in the score: with 1, cross-validation follows noise too often (Gu
+2002)."""
+
+_WINDOW_KNOTS = 300
+"""Over which the stiffness is chosen; a long recording has the same throughout."""
+
+_RIDGE = 1e-10
+"""Fraction of the penalty that keeps knots without a sample determined."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +67,7 @@ class ArmMotion:
         seconds: of the torques [s], shape (T,).
         effort: as the driver gives them [N·m], shape (T, J).
         used: joints whose torque says something, shape (J,).
+        spline: positions of all joints [rad] over time [s].
     """
 
     seconds: Array
@@ -56,38 +87,43 @@ def arm_motion(log: ArmLog) -> ArmMotion:
     The first and last quarter of a second are left out, and torques in gaps of the positions.
 
     Raises:
-        NotFoundError: too little is left.
+        NotFoundError: too few torques remain.
     """
-    usual = ~_strays(log.position.values)
-    seconds, values = log.position.seconds[usual], log.position.values[usual]
-    spline = smoothing_spline(seconds, values, log.position.late_s)
-    keep = _known(log)
-    if np.count_nonzero(keep) < _FEWEST:
+    positions, efforts = log.position.seconds, log.effort.seconds
+    inliers = ~_outliers(log.position.values)
+    spline = smoothing_spline(positions[inliers], log.position.values[inliers], log.position.late_s)
+    after = np.clip(np.searchsorted(positions, efforts), 1, len(positions) - 1)
+    gaps = np.diff(positions)
+    most = max(_MOST_GAP_PERIODS * float(np.median(gaps)), _LEAST_GAP_S)
+    inside = (efforts > positions[0] + _ENDS_S) & (efforts < positions[-1] - _ENDS_S)
+    keep = inside & (gaps[after - 1] < most)
+    if np.count_nonzero(keep) < _FEWEST_TORQUES:
         raise NotFoundError(
-            f"{np.count_nonzero(keep)} torques have positions about them (wanted: {_FEWEST} or "
-            "more): record both at once, for 5 s"
+            f"{np.count_nonzero(keep)} torques have positions about them (wanted: "
+            f"{_FEWEST_TORQUES} or more): record both at once, for 5 s"
         )
-    at, effort = _thinned(log.effort.seconds[keep], log.effort.values[keep])
-    return ArmMotion(at, effort, ~log.constant, spline)
+    seconds, effort = _thinned(efforts[keep], log.effort.values[keep])
+    return ArmMotion(seconds, effort, ~log.constant, spline)
 
 
-def _strays(values: Array) -> NDArray[np.bool_]:
+def _outliers(values: Array) -> NDArray[np.bool_]:
     """Single samples at which no arm can have been between the two beside them."""
     off = np.zeros(len(values))
     aside = np.abs(values[1:-1] - (values[2:] + values[:-2]) / 2)
-    off[1:-1] = np.max(aside / np.maximum(_USUAL * np.median(aside, axis=0), _STRAY), axis=1)
+    usual = np.maximum(_OUTLIER_FACTOR * np.median(aside, axis=0), _OUTLIER_RAD)
+    off[1:-1] = np.max(aside / usual, axis=1)
     most = np.maximum(off, np.maximum(np.roll(off, 1), np.roll(off, -1)))
     return (off > 1) & (off == most)
 
 
 def _thinned(seconds: Array, effort: Array) -> tuple[Array, Array]:
     """Means over short spans of time where there are more samples than a fit needs."""
-    if len(seconds) <= _MOST:
+    if len(seconds) <= _MOST_TORQUES:
         return seconds, effort
     since = seconds - seconds[0]
-    width = float(since[-1]) / (_MOST - 1)
+    width = float(since[-1]) / (_MOST_TORQUES - 1)
     spans = (since / width).astype(np.int64)
-    near = since - spans * width < _SPAN_S
+    near = since - spans * width < _MEAN_SPAN_S
     _, spans, counts = np.unique(spans[near], return_inverse=True, return_counts=True)
     rows = np.column_stack([seconds[near], effort[near]])
     sums = np.zeros((len(counts), rows.shape[1]))
@@ -96,11 +132,70 @@ def _thinned(seconds: Array, effort: Array) -> tuple[Array, Array]:
     return means[:, 0], means[:, 1:]
 
 
-def _known(log: ArmLog) -> NDArray[np.bool_]:
-    """Which torques were measured where the motion is known."""
-    positions, efforts = log.position.seconds, log.effort.seconds
-    after = np.clip(np.searchsorted(positions, efforts), 1, len(positions) - 1)
-    gaps = np.diff(positions)
-    most = max(_MOST_GAP * float(np.median(gaps)), _LEAST_GAP_S)
-    inside = (efforts > positions[0] + _ENDS_S) & (efforts < positions[-1] - _ENDS_S)
-    return inside & (gaps[after - 1] < most)
+def smoothing_spline(seconds: Array, values: Array, late_s: float = 0.0) -> BSpline:
+    """Fit each column of samples.
+
+    Args:
+        seconds: when they were taken [s], increasing, shape (T,).
+        values: shape (T, C).
+        late_s: by how much each may have been taken earlier [s]. Such errors are correlated, which
+            cross-validation takes for the curve; so no curve comes nearer than they allow.
+    """
+    from scipy.interpolate import BSpline
+    from scipy.sparse import dia_array
+    from scipy.sparse.linalg import splu
+
+    step = max(float(np.median(np.diff(seconds))), _LEAST_KNOT_S)
+    cells = max(int(np.ceil((seconds[-1] - seconds[0]) / step)), _DEGREE)
+    step = (seconds[-1] - seconds[0]) / cells
+    knots = seconds[0] + step * np.arange(-_DEGREE, cells + _DEGREE + 1)
+    design = BSpline.design_matrix(seconds, knots, _DEGREE, extrapolate=True).tocsc()
+    count = cells + _DEGREE
+    weights = np.tile([[-1.0], [3.0], [-3.0], [1.0]], count)
+    third = dia_array((weights, np.arange(4)), shape=(count - 3, count))
+    normal, penalty = (design.T @ design).tocsc(), (third.T @ third).tocsc()
+    speeds = np.diff(values, axis=0) / np.diff(seconds)[:, None]
+    floor = late_s**2 / 12 * np.mean(speeds**2, axis=0)  # variance of a uniform delay, times speed
+    early = seconds <= knots[_DEGREE + min(cells, _WINDOW_KNOTS)]
+    window = slice(0, min(cells, _WINDOW_KNOTS) + _DEGREE)
+    stiffnesses = _stiffnesses(
+        design[early][:, window].toarray(), penalty[window, window].toarray(), values[early], floor
+    )
+    right_sides = design.T @ values
+    coefficients = [
+        splu(normal + (stiffness + _RIDGE) * penalty).solve(column)
+        for stiffness, column in zip(stiffnesses, right_sides.T, strict=True)
+    ]
+    return BSpline(knots, np.column_stack(coefficients), _DEGREE, extrapolate=True)
+
+
+def _stiffnesses(design: Array, penalty: Array, values: Array, floor: Array) -> Array:
+    """The penalty weight of each column, by generalised cross-validation.
+
+    In the basis that makes both matrices diagonal (Demmler and Reinsch 1975) a stiffness only
+    shrinks each coordinate, so that all of them are compared at the cost of one.
+
+    Args:
+        design: spline basis at each sample, shape (T, K).
+        penalty: squared third differences, shape (K, K).
+        values: shape (T, C).
+        floor: least variance of the residuals, shape (C,).
+
+    Returns:
+        Shape (C,).
+    """
+    from scipy.linalg import eigh
+
+    normal = design.T @ design
+    powers, basis = eigh(penalty, normal + _RIDGE * penalty)
+    powers = np.maximum(powers, 0.0)
+    curves = design @ basis
+    amounts = curves.T @ values
+    shrinkage = 1 / (1 + _STIFFNESSES[:, None] * powers)
+    squares = np.sum(values**2, axis=0) - 2 * shrinkage @ amounts**2 + shrinkage**2 @ amounts**2
+    freedom = len(values) - _DOF_COST * shrinkage.sum(axis=1)
+    scores = np.maximum(squares, 0.0) / np.maximum(freedom, 1e-3)[:, None] ** 2
+    scores[freedom <= 0] = np.inf
+    variance = squares / np.maximum(len(values) - shrinkage.sum(axis=1), 1.0)[:, None]
+    scores[(variance < floor) & (variance < variance[-1])] = np.inf
+    return _STIFFNESSES[np.argmin(scores, axis=0)]

@@ -1,43 +1,186 @@
-"""Checks of a fitted payload: whether an arm is behind the torques, and how sure the mass is."""
+"""Checks of a payload: the recording, an arm behind the torques, how sure the mass is."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from analysis.drop.checks import Check
+from analysis.checks import Check
 from analysis.payload.arm_log import ArmLog
-from analysis.payload.fit_result import Left, PayloadFit
+from analysis.payload.arm_motion import ArmMotion
+from analysis.payload.fit_result import FitResidual, PayloadFit
 from recorders.simulators.arm.description import Arm
 from tunenet_logs.arrays import Array
+from tunenet_logs.text import listed, short_name
 
-_MOST_LEFT_NM, _REJECT_LEFT_NM = 1.0, 2.5
+_LEAST_HZ = 8.0
+_LEAST_S, _REJECT_S = 3.0, 1.0
+_LEAST_SPAN_RAD = 0.3
+_MOST_GAP_S = 0.3
+_MOST_REPEATED = 0.7
+"""A recording that shows a mass: slower, shorter or more still, friction and offsets hide it. The
+repeated samples are a fraction of all."""
+
+_LEAST_CORRELATION = 0.8
+_FAST_FACTOR = 1.5
+"""Velocities of the driver are like the positions' derivatives, and these below a multiple of the
+joint's limit: else positions or stamps are wrong."""
+
+_MOST_RMS_NM, _REJECT_RMS_NM = 1.0, 2.5
 _MOST_SIMULATED_NM = 1.5
-_REJECT_SHARE = 0.5
+"""Residuals of a good fit are a torque sensor's noise, some 0.2 N·m; a simulated arm has no
+friction and no offsets, so that more remains."""
+
+_CHI2_MEDIAN = 0.455
+"""Of the square of a standard normal variable: makes a median an rms without spikes."""
+
+_REJECT_FRACTION = 0.5
 _LIVELY_NM = 1.0
-"""Spread of torques from which on their explained share tells anything."""
+"""No arm leaves this fraction of its torques' variance unexplained, where they vary by more than
+noise does."""
+
 _SURE_ODDS = 5.0
+"""Natural log of the Bayes factor: 150 to 1, very strong evidence (Kass and Raftery 1995)."""
+
 _MOST_LAG_S = 0.1
+"""Drivers' filters are faster: more is two clocks."""
+
 _USUAL_SDS = 5.0
-_SURE_KG, _SURE_SHARE = 0.15, 0.1
-_REJECT_KG = 2.0
+"""Of a term's prior: beyond it something else is wrong with the arm."""
+
+_SURE_KG, _SURE_FRACTION, _REJECT_KG = 0.15, 0.1, 2.0
+"""Half of a 95 % interval that is of use, of the mass where that is more; and of none at all."""
+
 _BELOW_SDS = 4.0
-_LEFT_ALONE = 0.95
+"""Standard deviations below 0 at which a mass is an error of the model or of the tare."""
+
+_OFF_CENTRE_PROBABILITY = 0.95
+"""From which a centre of mass elsewhere than in the tool frame is a finding."""
+
+_CONVENTION_WORDS = {
+    (1, True): "the joints' torques, with gravity",
+    (-1, True): "torques with the sign opposite to the joints', with gravity",
+    (1, False): "the joints' torques, without the arm's gravity",
+    (-1, False): "torques with the sign opposite to the joints', without the arm's gravity",
+}
 _ARM_ADVICE = (
     "check that torques and positions are of the same joints, in N·m, and the arm (--urdf: an arm "
     "that does not stand upright needs its tilt in the base joint)"
 )
+_TARE_ADVICE = "record the empty gripper too and give it with --tare"
+
+
+def arm_checks(log: ArmLog, motion: ArmMotion, arm: Arm) -> list[Check]:
+    """What speaks for and against a recording, whatever is in the gripper."""
+    position, velocity, _ = motion.at(motion.seconds)
+    length_s = float(motion.seconds[-1] - motion.seconds[0])
+    spans = np.ptp(position, axis=0)
+    constant = [name for name, same in zip(log.joints, log.constant, strict=True) if same]
+    slow_hz = min(log.position.rate_hz, log.effort.rate_hz)
+    repeated = max(log.position.repeated, log.effort.repeated)
+    gap_s = max(float(np.diff(field.seconds).max()) for field in (log.position, log.effort))
+    return [
+        Check(
+            "long enough",
+            length_s >= _LEAST_S,
+            f"{length_s:.1f} s of torques with their motion (wanted: {_LEAST_S:.0f} or more)",
+            fatal=length_s < _REJECT_S,
+            advice="record 5 s of one smooth motion",
+        ),
+        Check(
+            "the arm moves",
+            float(spans.max()) >= _LEAST_SPAN_RAD,
+            f"the joint that moves most turns by {spans.max():.2f} rad (wanted: "
+            f"{_LEAST_SPAN_RAD} or more)",
+            advice="move all joints by half a turn or so, the payload far out to the side",
+        ),
+        Check(
+            "every torque changes",
+            not constant,
+            f"no change in the torque of {listed(map(short_name, constant))}: left out"
+            if constant
+            else "the torque of every joint changes",
+            advice="check that the driver measures the torque of every joint",
+        ),
+        Check(
+            "rate",
+            slow_hz >= _LEAST_HZ,
+            f"positions are new at {log.position.rate_hz:.0f} Hz, torques at "
+            f"{log.effort.rate_hz:.0f} Hz (wanted: {_LEAST_HZ:.0f} or more)",
+            advice="raise the driver's rate",
+        ),
+        Check(
+            "samples are new",
+            repeated <= _MOST_REPEATED,
+            f"{100 * repeated:.0f} % of the samples repeat the one before (at most "
+            f"{100 * _MOST_REPEATED:.0f})",
+            advice="record at the rate at which the driver measures",
+        ),
+        Check(
+            "no gaps",
+            gap_s <= _MOST_GAP_S,
+            f"longest time without a new sample {gap_s:.2f} s (at most {_MOST_GAP_S})",
+            advice="record on a machine that keeps up, or a shorter part with --start and --end",
+        ),
+        *_speed_checks(log, motion, velocity, arm),
+    ]
+
+
+def _speed_checks(log: ArmLog, motion: ArmMotion, velocity: Array, arm: Arm) -> list[Check]:
+    """Whether speeds are an arm's, and like the driver's velocities, which are not used.
+
+    Args:
+        log: with these velocities, or without.
+        motion: the positions over time.
+        velocity: their derivatives [rad/s], shape (T, J).
+        arm: with the speed limits.
+    """
+    limits = np.array([joint.max_velocity_rad_s for joint in arm.joints])
+    fractions = np.quantile(np.abs(velocity), 0.99, axis=0) / limits
+    worst = int(np.argmax(fractions))
+    speed_check = Check(
+        "speeds are an arm's",
+        float(fractions[worst]) < _FAST_FACTOR,
+        f"{arm.joints[worst].name} moves at {100 * fractions[worst]:.0f} % of its highest speed "
+        f"(at most {100 * _FAST_FACTOR:.0f})",
+        advice="check the unit of the positions and the stamps, or name the arm with --urdf",
+    )
+    if log.velocity is None:
+        return [speed_check]
+    seconds = log.velocity.seconds
+    inside = (seconds > motion.seconds[0]) & (seconds < motion.seconds[-1])
+    measured = log.velocity.values[inside]
+    if len(measured) < 3:
+        return [speed_check]
+    _, derived, _ = motion.at(seconds[inside])
+    power = float(np.sqrt(np.sum(measured**2) * np.sum(derived**2)))
+    if not power:
+        return [speed_check]
+    correlation = float(np.sum(measured * derived)) / power
+    factor = float(np.sqrt(np.sum(measured**2) / np.sum(derived**2)))
+    velocity_check = Check(
+        "velocities agree",
+        correlation > _LEAST_CORRELATION,
+        f"correlation {correlation:.2f} with the positions' derivatives (wanted: over "
+        f"{_LEAST_CORRELATION}), {factor:.2f} times them; they are not used",
+        advice="check that positions are stamped when they are measured",
+    )
+    return [speed_check, velocity_check]
 
 
 def payload_checks(fit: PayloadFit, arm: Arm, log: ArmLog) -> list[Check]:
-    """What speaks for and against the mass."""
-    names = {(1, True): "the joints' torques, with gravity"}
-    names[-1, True] = "torques with the sign opposite to the joints', with gravity"
-    names[1, False] = "the joints' torques, without the arm's gravity"
-    names[-1, False] = "torques with the sign opposite to the joints', without the arm's gravity"
-    meant = names[fit.convention.sign, fit.convention.has_gravity]
+    """What speaks for and against the mass; a tare that fits no arm is blamed before the log."""
+    tare_checks = []
+    if fit.tare_residual is not None:
+        advice = f"record the tare anew, and {_ARM_ADVICE}"
+        tare_checks = [_arm_check("tare: torques fit the arm", fit.tare_residual, 0.0, advice)]
+    residual = FitResidual(fit.residual_nm[:, fit.used], fit.effort_nm[:, fit.used])
+    meant = _CONVENTION_WORDS[fit.convention.sign, fit.convention.has_gravity]
+    worst = max(fit.nuisances, key=lambda term: abs(term.value) / term.prior_sd)
+    sds = abs(worst.value) / worst.prior_sd
+    turn = "turn the hand by 90° about two axes in the motion"
     return [
-        *_tare_checks(fit),
-        _arm_check("torques fit the arm", fit.left, fit.arm_odds, _ARM_ADVICE),
+        *tare_checks,
+        _arm_check("torques fit the arm", residual, fit.arm_odds, _ARM_ADVICE),
         Check(
             "sign and gravity",
             fit.convention_odds > _SURE_ODDS,
@@ -52,99 +195,83 @@ def payload_checks(fit: PayloadFit, arm: Arm, log: ArmLog) -> list[Check]:
             f"{1000 * _MOST_LAG_S:.0f} either way)",
             advice="stamp positions and torques with one clock, when they are measured",
         ),
-        _usual_check(fit),
+        Check(
+            "friction and sensors are usual",
+            sds < _USUAL_SDS,
+            f"{worst.name} is {worst.value:+.3g}, {sds:.1f} times what is usual (at most "
+            f"{_USUAL_SDS:.0f})",
+            advice="set the torque sensors to zero in the candle pose, and check the arm (--urdf)",
+        ),
         _lift_check(fit, arm, log),
         Check(
             "payload in the tool frame",
-            fit.centre.is_told or fit.off_centre < _LEFT_ALONE,
+            fit.centre.is_identifiable or fit.off_centre < _OFF_CENTRE_PROBABILITY,
             f"probability that its centre of mass is elsewhere {fit.off_centre:.2f} (at most "
-            f"{_LEFT_ALONE}, where the log does not tell it): {fit.told_apart}",
-            advice=_remedy(fit, "turn the hand by 90° about two axes in the motion"),
+            f"{_OFF_CENTRE_PROBABILITY}, where the log does not tell it): {fit.identifiability}",
+            advice=turn if fit.tare_residual else _TARE_ADVICE,
         ),
     ]
 
 
-def _remedy(fit: PayloadFit, motion: str) -> str:
-    """What tells more: a tare where there is none, then another motion."""
-    return motion if fit.has_tare else "record the empty gripper too and give it with --tare"
+def _arm_check(name: str, residual: FitResidual, arm_odds: float, advice: str) -> Check:
+    """Whether any arm is behind these torques."""
+    rms = float(np.sqrt(np.median(residual.residual_nm**2, axis=0).mean() / _CHI2_MEDIAN))
+    moving = residual.effort_nm - np.mean(residual.effort_nm, axis=0)
+    spread = float(np.sqrt(np.mean(moving**2)))
+    lost = rms > _REJECT_RMS_NM or arm_odds < 0
+    if spread > _LIVELY_NM:
+        lost |= float(np.mean(residual.residual_nm**2)) / spread**2 > _REJECT_FRACTION
+    detail = (
+        f"{rms:.2f} N·m are left, rms (at most {_MOST_RMS_NM:.0f}); torques change by "
+        f"{spread:.2f} N·m"
+    )
+    if lost:
+        detail = f"these torques fit no arm, whatever their sign and gravity: {detail}"
+    return Check(name, rms < _MOST_RMS_NM and not lost, detail, fatal=lost, advice=advice)
+
+
+def _lift_check(fit: PayloadFit, arm: Arm, log: ArmLog) -> Check:
+    """Whether the arm can hold such a mass."""
+    limits = np.array([joint.max_effort_nm for joint in arm.joints])
+    fractions = np.quantile(np.abs(log.effort.values), 0.99, axis=0) / limits
+    worst = int(np.argmax(fractions))
+    below = -fit.signed_kg / fit.sd_kg
+    zero = "that the tare's gripper was empty" if fit.tare_residual else "its zero with a --tare"
+    return Check(
+        "within what the arm lifts",
+        float(fractions[worst]) < 1 and below < _BELOW_SDS,
+        f"{fit.signed_kg:.3f} kg (0 or more); {arm.joints[worst].name} at "
+        f"{100 * fractions[worst]:.0f} % of its highest torque",
+        advice=f"check the arm's model (--urdf), and {zero}",
+    )
 
 
 def sure_check(fit: PayloadFit) -> Check:
     """Whether the interval is narrow enough to be of use."""
     low, high = fit.interval95
     half = (high - low) / 2
-    most_kg = max(_SURE_KG, _SURE_SHARE * fit.mass_kg)
+    most_kg = max(_SURE_KG, _SURE_FRACTION * fit.mass_kg)
+    longer = "record longer, the payload far out to the side, the hand turning"
     return Check(
         "sure enough",
         half < most_kg,
         f"95 % interval of ±{half:.3f} kg (at most {most_kg:.2f})",
         fatal=half > _REJECT_KG,
-        advice=_remedy(fit, "record longer, the payload far out to the side, the hand turning"),
+        advice=longer if fit.tare_residual else _TARE_ADVICE,
     )
 
 
-def simulation_check(left_nm: Array) -> Check:
+def simulation_check(residual_nm: Array) -> Check:
     """Whether the simulated arm needs the torques that were measured, all but what is no mass's.
 
     Args:
-        left_nm: measured less simulated, shape (T, J).
+        residual_nm: measured less simulated [N·m], shape (T, J).
     """
-    rms = float(np.sqrt(np.mean(left_nm**2)))
+    rms = float(np.sqrt(np.mean(residual_nm**2)))
     return Check(
         "simulation fits",
         rms < _MOST_SIMULATED_NM,
         f"{rms:.2f} N·m between measured and simulated torques, rms, friction and offsets "
         f"included (at most {_MOST_SIMULATED_NM:g})",
         advice="use the preset default, or check the arm (--urdf)",
-    )
-
-
-def _tare_checks(fit: PayloadFit) -> list[Check]:
-    """Whether an arm is behind the empty run: before the log is blamed for it."""
-    if fit.tare_left is None:
-        return []
-    name, advice = "tare: torques fit the arm", f"record the tare anew, and {_ARM_ADVICE}"
-    return [_arm_check(name, fit.tare_left, 0.0, advice)]
-
-
-def _arm_check(name: str, left: Left, arm_odds: float, advice: str) -> Check:
-    """Whether any arm is behind these torques."""
-    rms, spread = left.rms_nm, left.spread_nm
-    lost = rms > _REJECT_LEFT_NM or arm_odds < 0
-    lost |= spread > _LIVELY_NM and left.share > _REJECT_SHARE
-    detail = (
-        f"{rms:.2f} N·m are left, rms (at most {_MOST_LEFT_NM:.0f}); torques change by "
-        f"{spread:.2f} N·m"
-    )
-    if lost:
-        detail = f"these torques fit no arm, whatever their sign and gravity: {detail}"
-    return Check(name, rms < _MOST_LEFT_NM and not lost, detail, fatal=lost, advice=advice)
-
-
-def _usual_check(fit: PayloadFit) -> Check:
-    """Whether friction, offsets and the like are as large as such terms are."""
-    worst = max(fit.nuisances, key=lambda one: abs(one.value) / one.prior_sd)
-    sds = abs(worst.value) / worst.prior_sd
-    return Check(
-        "friction and sensors are usual",
-        sds < _USUAL_SDS,
-        f"{worst.name} is {worst.value:+.3g}, {sds:.1f} times what is usual (at most "
-        f"{_USUAL_SDS:.0f})",
-        advice="set the torque sensors to zero in the candle pose, and check the arm (--urdf)",
-    )
-
-
-def _lift_check(fit: PayloadFit, arm: Arm, log: ArmLog) -> Check:
-    """A mass that the arm can hold."""
-    limits = np.array([one.max_effort_nm for one in arm.joints])
-    shares = np.quantile(np.abs(log.effort.values), 0.99, axis=0) / limits
-    worst = int(np.argmax(shares))
-    below = -fit.signed_kg / fit.sd_kg
-    zero = "that the tare's gripper was empty" if fit.has_tare else "its zero with a --tare"
-    return Check(
-        "within what the arm lifts",
-        float(shares[worst]) < 1 and below < _BELOW_SDS,
-        f"{fit.signed_kg:.3f} kg (0 or more); {arm.joints[worst].name} at "
-        f"{100 * shares[worst]:.0f} % of its highest torque",
-        advice=f"check the arm's model (--urdf), and {zero}",
     )

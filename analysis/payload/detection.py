@@ -1,63 +1,66 @@
-"""An arm's motion that was found in an episode, and the estimation problem that it poses."""
+"""An arm's motion as it was detected in an episode, and the estimation problem that it poses."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-from analysis.estimators.base import Problem
-from analysis.estimators.observation import Observation
+from analysis.estimators.base import FitResult, Observation, Problem
 from analysis.payload.arm_log import ArmLog
 from analysis.payload.arm_motion import ArmMotion
 from analysis.payload.fit_result import PayloadFit
 from analysis.payload.presets import PAPER_GRAVITY_M_S2
-from analysis.payload.readings import paper_torques, payload_readings
+from analysis.payload.readings import circle_phase_s, paper_torques, payload_readings
 from analysis.payload.tare import Tare
+from analysis.payload.torque_fit import fit_payload
 from recorders.simulators.arm.description import Arm
 from recorders.simulators.arm.dynamics import held_efforts_nm
 from recorders.simulators.arm.path import JointPath
-from recorders.simulators.arm.payload import TOPIC, PayloadSimulator
+from recorders.simulators.arm.payload import PAYLOAD_MASS, TOPIC, PayloadSimulator
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
+from tunenet_logs.errors import NotFoundError
 
 EFFORT = f"{TOPIC}.effort"
+"""The simulated torques."""
+
+_LEAST_OF_CIRCLE_S = 4.0
+"""Of the paper's circle, which takes 5 s: its network fills in what little is missing."""
+
+_OFF_CIRCLE_RAD = 0.1
+"""From the paper's circle at any joint: a controller's error, and no other motion."""
 
 
 @dataclass(frozen=True, eq=False)
 class PayloadDetection:
     """An arm's motion in an episode, with the torques that it took, as one preset looks at it.
 
+    What torques a driver reports (sign, with or without the arm's weight) only a fit of them shows.
+    It is made when first needed, and is the result of the method "fit" too.
+
     Attributes:
+        physical: whether the preset looks at the arm's own motion, or at the paper's circle.
         arm: as it is without a payload.
         log: fresh samples of its joints.
         start_ns: where the log's clock is 0.
+        motion: how the joints moved, at any time.
         tare: the run with an empty gripper; None where there is none.
-        fit: of all that is in the torques.
-        path: how the joints moved when each torque was measured.
-        phase_s: where on the paper's circle the log's clock begins, under the paper's presets.
         warnings: what a user should know, in words.
     """
 
+    physical: bool
     arm: Arm
     log: ArmLog
     start_ns: int
     motion: ArmMotion
     tare: Tare | None
-    fit: PayloadFit
-    path: JointPath
-    phase_s: float | None
     warnings: tuple[str, ...]
 
     @property
     def topic(self) -> str:
         """Where the torques came from."""
         return self.log.effort.topic
-
-    @property
-    def step_hz(self) -> float:
-        """Torques are asked of the simulator where they were measured."""
-        return self.log.effort.rate_hz
 
     @property
     def window(self) -> Mapping[str, float]:
@@ -69,10 +72,50 @@ class PayloadDetection:
         """How long it moved."""
         return "motion", f"{self.path.seconds[-1] - self.path.seconds[0]:.1f} s"
 
-    @property
-    def physical(self) -> bool:
-        """Whether the preset looks at the arm along its own motion, or at the paper's circle."""
-        return self.phase_s is None
+    @cached_property
+    def path(self) -> JointPath:
+        """How the joints moved when each torque was measured."""
+        return JointPath(self.motion.seconds, *self.motion.at(self.motion.seconds))
+
+    @cached_property
+    def fit(self) -> PayloadFit:
+        """All that is in the torques.
+
+        Raises:
+            NotFoundError: the mass is over the highest that any arm holds.
+        """
+        empty = None if self.tare is None else self.tare.motion
+        fit = fit_payload(self.arm, self.motion, empty)
+        most_kg = PAYLOAD_MASS.bounds[1]
+        if fit.mass_kg > most_kg:
+            raise NotFoundError(
+                f"these torques hold {fit.mass_kg:.3g} kg, over {most_kg:g} kg: are the torques in "
+                "N·m?"
+            )
+        return fit
+
+    @cached_property
+    def phase_s(self) -> float | None:
+        """Where on the paper's circle the log's clock begins; None where the preset needs none.
+
+        Raises:
+            NotFoundError: it is another motion, or too little of it is there.
+        """
+        if self.physical:
+            return None
+        phase_s, off_rad = circle_phase_s(self.path)
+        if off_rad > _OFF_CIRCLE_RAD:
+            raise NotFoundError(
+                "the paper's network knows one motion, the circle of `tunenet-record --simulate "
+                f"payload`; this one is up to {off_rad:.2f} rad off it: use --preset default"
+            )
+        seconds = self.path.seconds[-1] - self.path.seconds[0]
+        if seconds < _LEAST_OF_CIRCLE_S:
+            raise NotFoundError(
+                f"{seconds:.1f} s of the circle are there, the paper's network needs "
+                f"{_LEAST_OF_CIRCLE_S:g} s: record a whole turn, or use --preset default"
+            )
+        return phase_s
 
     @cached_property
     def effort_nm(self) -> Array:
@@ -83,35 +126,36 @@ class PayloadDetection:
 
     @cached_property
     def simulator(self) -> PayloadSimulator:
-        """The arm along its own path; its payload's centre where the log tells it."""
+        """The arm along its own path; its payload's centre where the log shows it."""
         free = self.arm.without_limits()
         if not self.physical:
             return PayloadSimulator(free, self.path, gravity_m_s2=PAPER_GRAVITY_M_S2)
         centre = self.fit.centre
-        com_m = centre.com_m if centre.is_told else (0.0, 0.0, 0.0)
+        com_m = centre.com_m if centre.is_identifiable else (0.0, 0.0, 0.0)
         return PayloadSimulator(free, self.path, com_m)
 
-    @cached_property
-    def target(self) -> Observation:
-        """o_T."""
-        return self.observe(self.effort_nm)
-
     def observe(self, effort_nm: Array) -> Observation:
-        """What the preset's network sees of torques along the path, shape (T, J)."""
+        """What the preset's network sees of torques along the path [N·m], shape (T, J)."""
         if self.phase_s is not None:
             return paper_torques(self.path.seconds, effort_nm, self.phase_s)
         own = self.simulator
         return payload_readings(effort_nm, own.empty_efforts_nm, own.efforts_nm_per_kg)
 
 
-def payload_problem(found: PayloadDetection, initial: Array) -> Problem:
-    """A simulator that moves the arm as it moved.
+def payload_problem(
+    detection: PayloadDetection,
+    initial: Array,
+    exact_fit: Callable[[Array], FitResult | None] | None,
+) -> Problem:
+    """A simulator that moves the arm as it moved; `initial` has the shape (1,) [kg].
 
     Raises:
+        NotFoundError: the motion or the torques are none that the preset can use.
         UsageError: the initial value is out of bounds.
     """
 
     def observe(episode: Episode) -> Observation:
-        return found.observe(episode.signals[EFFORT].values)
+        return detection.observe(episode.signals[EFFORT].values)
 
-    return Problem(found.target, found.simulator, observe, initial)
+    target = detection.observe(detection.effort_nm)
+    return Problem(target, detection.simulator, observe, initial, exact_fit)

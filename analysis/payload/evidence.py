@@ -1,9 +1,9 @@
 """Least squares with normal priors, whose scales the samples themselves decide on.
 
 A group of terms (all joints' offsets, say) may be absent, as large as usual, or larger. Each
-combination is a model with an evidence in closed form (type II maximum likelihood, MacKay 1992);
-the answer is the average of all, so what samples cannot tell widens it, and what is not there costs
-nothing.
+combination is a model whose evidence is Gaussian, in closed form (type II maximum likelihood,
+MacKay 1992). The answer is their Bayesian model average (Hoeting et al. 1999): what samples cannot
+tell widens it, and what is not there costs nothing.
 """
 
 from __future__ import annotations
@@ -18,7 +18,10 @@ from numpy.typing import NDArray
 from tunenet_logs.arrays import Array
 
 _LEAST_WEIGHT = 1e-4
-_AT_ONCE = 128
+"""Models with less posterior probability are left out: they change no digit that is shown."""
+
+_BATCH = 128
+"""Models that are solved at once: many enough for numpy to be fast, few enough for memory."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +30,7 @@ class Level:
 
     Attributes:
         scale: of its priors' standard deviations; 0 where it is absent.
-        weight: before the samples are looked at; those of a group add up to 1.
+        weight: prior probability; those of a group add up to 1.
     """
 
     scale: float
@@ -40,7 +43,7 @@ class Ideal:
 
     Attributes:
         groups: which.
-        weight: how likely that is before the samples are looked at.
+        weight: prior probability.
     """
 
     groups: tuple[str, ...]
@@ -48,104 +51,105 @@ class Ideal:
 
 
 @dataclass(frozen=True, eq=False)
-class Normal:
+class NormalEquations:
     """What weighted samples say of linear terms: all that least squares needs of them.
 
     Attributes:
-        precision: shape (N, N).
-        pull: shape (N,).
+        precision: slopes' sum of squares A^T W A, shape (N, N).
+        gradient: A^T W y, of the log likelihood at 0, shape (N,).
     """
 
     precision: Array
-    pull: Array
+    gradient: Array
 
 
 @dataclass(frozen=True, eq=False)
-class Model:
+class WeightedModel:
     """One combination of levels.
 
     Attributes:
         levels: scale of each group.
-        weight: after the samples; those of all models add up to 1.
+        weight: posterior probability; those of all models add up to 1.
         means: of all terms, shape (N,).
-        watched: covariance of the terms that are asked for, shape (W, W).
+        covariance: of the terms of interest, shape (I, I).
     """
 
     levels: Mapping[str, float]
     weight: float
     means: Array
-    watched: Array
+    covariance: Array
 
 
-def posterior(normal: Normal, sds: Array) -> tuple[Array, Array]:
-    """Means and covariance of the terms under priors of these standard deviations, shape (N,)."""
+def posterior(normal: NormalEquations, sds: Array) -> tuple[Array, Array]:
+    """Means and covariance of the terms under priors of these standard deviations, shape (N,).
+
+    Solved in units of the priors, so that a prior of width 0 is no special case.
+    """
     inner = np.eye(len(sds)) + sds[:, None] * normal.precision * sds
     covariance = sds[:, None] * np.linalg.inv(inner) * sds
-    return covariance @ normal.pull, covariance
+    return covariance @ normal.gradient, covariance
 
 
-def weighed_models(
-    normal: Normal,
+def weighted_models(
+    normal: NormalEquations,
     sds: Array,
     groups: Mapping[str, NDArray[np.int64]],
     levels: Mapping[str, Sequence[Level]],
-    watched: NDArray[np.int64],
+    interest: NDArray[np.int64],
     ideal: Ideal | None = None,
-) -> tuple[Model, ...]:
+) -> tuple[WeightedModel, ...]:
     """Every combination of levels that matters, the likeliest first.
 
     Args:
         normal: the samples.
         sds: priors at scale 1, shape (N,).
-        groups: places of the terms of each.
+        groups: indices of the terms of each.
         levels: of each group.
-        watched: terms whose covariance is asked for.
+        interest: indices of the terms whose covariance is wanted, shape (I,).
         ideal: groups that may be absent together.
     """
-    names = tuple(levels)
-    combined = list(product(*(levels[name] for name in names)))
-    log_weights = np.empty(len(combined))
-    means = np.empty((len(combined), len(sds)))
-    covariances = np.empty((len(combined), len(watched), len(watched)))
-    for first in range(0, len(combined), _AT_ONCE):
-        some = slice(first, first + _AT_ONCE)
-        scaled = np.tile(sds, (len(combined[some]), 1))
-        for at, name in enumerate(names):
-            scaled[:, groups[name]] *= np.array([one[at].scale for one in combined[some]])[:, None]
-        found = _solved(normal, scaled, watched)
-        means[some], covariances[some], log_weights[some] = found
-    log_weights += [_log_prior(dict(zip(names, one, strict=True)), ideal) for one in combined]
+    count, names = len(sds), tuple(levels)
+    right_sides = np.concatenate([normal.gradient[:, None], np.eye(count)[:, interest]], axis=1)
+    combinations = list(product(*(levels[name] for name in names)))
+    log_weights = np.empty(len(combinations))
+    means = np.empty((len(combinations), count))
+    covariances = np.empty((len(combinations), len(interest), len(interest)))
+    for first in range(0, len(combinations), _BATCH):
+        batch = slice(first, first + _BATCH)
+        scaled = np.tile(sds, (len(combinations[batch]), 1))
+        for position, name in enumerate(names):
+            scales = np.array([levels_of[position].scale for levels_of in combinations[batch]])
+            scaled[:, groups[name]] *= scales[:, None]
+        inner = np.eye(count) + scaled[:, :, None] * normal.precision * scaled[:, None, :]
+        solved = np.linalg.solve(inner, scaled[:, :, None] * right_sides)
+        solved = scaled[:, :, None] * solved
+        means[batch], covariances[batch] = solved[:, :, 0], solved[:, interest, 1:]
+        log_dets = np.linalg.slogdet(inner)[1]
+        # The exact Gaussian evidence, up to what all models share.
+        log_weights[batch] = 0.5 * solved[:, :, 0] @ normal.gradient - 0.5 * log_dets
+    choices = [dict(zip(names, levels_of, strict=True)) for levels_of in combinations]
+    log_weights += [_log_prior(choice, ideal) for choice in choices]
     weights = np.exp(log_weights - log_weights.max())
     weights /= weights.sum()
-    order = [at for at in np.argsort(-weights) if weights[at] > _LEAST_WEIGHT]
+    order = [index for index in np.argsort(-weights) if weights[index] > _LEAST_WEIGHT]
     total = float(weights[order].sum())
     return tuple(
-        Model(
-            {name: level.scale for name, level in zip(names, combined[at], strict=True)},
-            float(weights[at]) / total,
-            means[at],
-            covariances[at],
+        WeightedModel(
+            {name: level.scale for name, level in choices[index].items()},
+            float(weights[index]) / total,
+            means[index],
+            covariances[index],
         )
-        for at in order
+        for index in order
     )
 
 
-def _solved(normal: Normal, sds: Array, watched: NDArray[np.int64]) -> tuple[Array, Array, Array]:
-    """Means, watched covariances and log evidences under priors of shape (M, N)."""
-    count = sds.shape[1]
-    inner = np.eye(count) + sds[:, :, None] * normal.precision * sds[:, None, :]
-    asked = np.concatenate([normal.pull[:, None], np.eye(count)[:, watched]], axis=1)
-    solved = sds[:, :, None] * np.linalg.solve(inner, sds[:, :, None] * asked)
-    log_dets = np.linalg.slogdet(inner)[1]
-    means = solved[:, :, 0]
-    return means, solved[:, watched, 1:], 0.5 * means @ normal.pull - 0.5 * log_dets
-
-
 def _log_prior(choice: Mapping[str, Level], ideal: Ideal | None) -> float:
+    """Of a combination: a mixture of the ideal one and of groups that are independent."""
     if ideal is None:
-        return float(np.log([one.weight for one in choice.values()]).sum())
+        return float(np.log([level.weight for level in choice.values()]).sum())
     linked = [choice[name] for name in ideal.groups if name in choice]
-    apart = [one.weight for name, one in choice.items() if name not in ideal.groups]
-    absent = ideal.weight * all(one.scale == 0 for one in linked)
-    each = (1 - ideal.weight) * float(np.prod([one.weight for one in linked]))
-    return float(np.log(apart).sum() + np.log(absent + each))
+    others = [level.weight for name, level in choice.items() if name not in ideal.groups]
+    absent = ideal.weight * all(level.scale == 0 for level in linked)
+    independent = (1 - ideal.weight) * float(np.prod([level.weight for level in linked]))
+    return float(np.log(others).sum() + np.log(absent + independent))

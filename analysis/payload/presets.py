@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from analysis.experiment import Preset
+from analysis.experiment import Preset, Training
 from analysis.payload.readings import (
     PAPER_JOINTS,
     PAPER_RATE_HZ,
@@ -27,10 +27,17 @@ from tunenet_logs.progress import Progress
 PAPER_GRAVITY_M_S2 = (0.0, 0.0, -10.0)
 PAPER_MASS_KG = (0.0, 1.0)
 _PAPER_PAIRS = 1000
-_PATHS = 512
-_MASSES = 6
+"""The paper's simulator, masses that networks learn from, and pairs (Allevato et al. 2019)."""
+
+_PATHS, _MASSES = 512, 6
+"""Random motions of our network, and masses along each: all 30 ordered pairs of a motion are
+learnt from, so that a pair costs little simulation."""
+
 _RATE_HZ = 20.0
+"""Of a motion's samples: readings are sums over them, which more would not change."""
+
 _NEAR_KG = 0.1
+"""Standard deviation of half of a motion's masses about the others: a last iteration's pairs."""
 
 
 def observe_circle(masses_kg: Sequence[float]) -> Array:
@@ -76,7 +83,9 @@ def _readings_pairs(count: int | None, seed: int, jobs: int | None, progress: Pr
     near = masses[:, :half] + _NEAR_KG * rng.standard_normal((paths, half))
     masses[:, half:] = np.clip(near, *PAPER_MASS_KG)
     seeds = rng.integers(2**31, size=paths)
-    plans = [(int(one), tuple(row)) for one, row in zip(seeds, masses.tolist(), strict=True)]
+    plans = [
+        (int(path_seed), tuple(row)) for path_seed, row in zip(seeds, masses.tolist(), strict=True)
+    ]
     observations = observe_all(_observe_paths, plans, jobs, progress)
     first, second = np.nonzero(~np.eye(_MASSES, dtype=bool))
     starts = _MASSES * np.arange(paths)[:, None]
@@ -98,7 +107,7 @@ def _paper_recipe(scaling: str) -> Recipe:
     )
 
 
-def _paper_preset(name: str, scaling: str) -> Preset:
+def _paper_preset(name: str, scaling: str) -> Training:
     purpose = Purpose(
         task="payload",
         preset=name,
@@ -107,10 +116,10 @@ def _paper_preset(name: str, scaling: str) -> Preset:
         outputs=1,
         rates_hz=(PAPER_RATE_HZ,),
     )
-    return Preset(purpose, PaperNetwork(), _paper_recipe(scaling), _paper_pairs, physical=False)
+    return Training(purpose, PaperNetwork(), _paper_recipe(scaling), _paper_pairs)
 
 
-_OURS = Preset(
+_OURS = Training(
     Purpose(
         task="payload",
         preset="default",
@@ -130,11 +139,15 @@ _OURS = Preset(
         batch=256,
     ),
     _readings_pairs,
-    physical=True,
 )
 
-PRESETS = {
+TRAININGS = {
     "default": _OURS,
     "paper": _paper_preset("paper", "unit-inputs"),
     "paper-code": _paper_preset("paper-code", "z-score"),
+}
+
+PRESETS = {
+    "default": Preset(True, "tunenet+refine", TRAININGS["default"]),
+    **{name: Preset(False, "tunenet", TRAININGS[name]) for name in TRAININGS if name != "default"},
 }

@@ -3,7 +3,7 @@
 Torques are linear in the payload. What makes it hard is all else that is in them: friction,
 offsets, gains, a lag, links that weigh something else than the model's. They are fitted too, with
 priors whose scale the log decides on (`evidence.py`), and with a run of the empty gripper (a tare)
-that has all of them but the payload.
+that has all of them but the payload. A cross-check has none of that, and another engine's model.
 """
 
 from __future__ import annotations
@@ -11,20 +11,32 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.model_averaging import ModelEstimate, average
-from analysis.payload.arm_model import ArmModel
 from analysis.payload.arm_motion import ArmMotion
-from analysis.payload.evidence import Ideal, Level, Model, weighed_models
-from analysis.payload.fit_result import LEAST_MASS_KG, Centre, Left, Nuisance, PayloadFit
-from analysis.payload.least_squares import Steps, without_arm
-from analysis.payload.terms import CENTRE, CONVENTIONS, MASS, make_terms
-from recorders.simulators.arm.description import Arm
+from analysis.payload.evidence import Ideal, Level, WeightedModel, weighted_models
+from analysis.payload.fit_result import LEAST_MASS_KG, Centre, FitResidual, Nuisance, PayloadFit
+from analysis.payload.gauss_newton import GaussNewton, log_evidence_without_arm
+from analysis.payload.torque_model import (
+    CENTRE,
+    CONVENTIONS,
+    MASS,
+    OFFSET_SD_NM,
+    ArmModel,
+    Convention,
+    make_terms,
+)
+from recorders.simulators.arm.description import Arm, Payload
+from recorders.simulators.arm.dynamics import held_efforts_nm, joint_efforts_nm
+from recorders.simulators.arm.path import JointPath
 from tunenet_logs.arrays import Array
 
-_STEPS, _MORE_STEPS = 5, 4
+_ITERATIONS, _FINAL_ITERATIONS = 5, 4
+"""Of Gauss-Newton: with each convention, enough to choose one; then more with the best."""
+
 _PAYLOAD = np.arange(CENTRE.stop)
+"""Indices of the payload's terms."""
+
 _SCALES = (Level(0.0, 0.2), Level(1 / 3, 0.2), Level(1.0, 0.4), Level(3.0, 0.2))
 _FREE = (Level(1.0, 1.0),)
 LEVELS: Mapping[str, Sequence[Level]] = {
@@ -36,8 +48,11 @@ LEVELS: Mapping[str, Sequence[Level]] = {
     "drift": (Level(0.0, 0.85), Level(1.0, 0.1), Level(3.0, 0.05)),
     "centre": (Level(0.0, 0.5), Level(1.0, 0.5)),
 }
-"""What a group of terms may be, and how likely it is before the log is looked at."""
+"""Scales of each group's priors, with their prior probabilities: gains, links and lags are hardly
+ever exact; zeros seldom drift within minutes; a payload may well be in the tool frame."""
+
 SIMULATED = Ideal(("offset", "friction", "gain", "links", "drift"), 0.3)
+"""A log may be a simulator's, which has none of these."""
 
 
 def fit_payload(
@@ -47,6 +62,9 @@ def fit_payload(
 ) -> PayloadFit:
     """Find mass and centre of mass of what an arm holds.
 
+    Gauss-Newton from 0 with each convention of a driver; the one with the highest Laplace evidence
+    is then averaged over how large each group of terms may be.
+
     Args:
         arm: as it is without a payload.
         motion: while it held it.
@@ -55,113 +73,141 @@ def fit_payload(
     model = ArmModel(arm)
     motions = [motion] if tare is None else [motion, tare]
     terms = make_terms(arm.joint_names, len(motions))
-    fits = [Steps.of(model, terms, motions, one).taken(_STEPS) for one in CONVENTIONS]
-    best, second, *_ = sorted(fits, key=lambda one: -one.log_evidence)
-    arm_odds = best.log_evidence - without_arm(motions, _STEPS)
+    fits = [
+        GaussNewton.start(model, terms, motions, convention).iterated(_ITERATIONS)
+        for convention in CONVENTIONS
+    ]
+    best, second, *_ = sorted(fits, key=lambda fit: -fit.log_evidence)
     return _averaged(
-        best.taken(_MORE_STEPS),
-        motion,
-        tare,
+        best.iterated(_FINAL_ITERATIONS),
         convention_odds=best.log_evidence - second.log_evidence,
-        arm_odds=arm_odds,
+        arm_odds=best.log_evidence - log_evidence_without_arm(motions, _ITERATIONS),
     )
 
 
-def _averaged(
-    steps: Steps,
-    motion: ArmMotion,
-    tare: ArmMotion | None,
-    *,
-    convention_odds: float,
-    arm_odds: float,
-) -> PayloadFit:
-    """Over how large each group of terms may be."""
-    terms = steps.terms
+def _averaged(fit: GaussNewton, *, convention_odds: float, arm_odds: float) -> PayloadFit:
+    """Bayesian average over how large each group of terms may be."""
+    terms, lines = fit.terms, [log.linearized(fit.values) for log in fit.logs]
+    normal = fit.normal_equations(lines)
     levels = {name: choice for name, choice in LEVELS.items() if name in terms.groups}
-    models = _models(steps, levels)
-    likeliest = models[0]
-    mass_kg, interval95 = average([_opinion(one) for one in models], 0.0, np.inf)
-    means, spread = _moments(models)
-    line = steps.logs[0].about(steps.values)
-    sds = np.sqrt(np.diag(steps.covariance))
-    first = CENTRE.stop
-    rows = zip(
-        *(terms.names[first:], terms.groups[first:], means[first:], sds[first:]),
-        terms.sds[first:],
-        strict=True,
-    )
+    groups = {name: terms.indices(name) for name in levels}
+    models = weighted_models(normal, fit.sds, groups, levels, _PAYLOAD, SIMULATED)
+    free = {**levels, "centre": _FREE}
+    free_models = weighted_models(normal, fit.sds, groups, free, _PAYLOAD, SIMULATED)
+    mass_sds = [float(np.sqrt(model.covariance[MASS, MASS])) for model in models]
+    estimates = [
+        ModelEstimate(float(model.means[MASS]), (sd, sd), model.weight)
+        for model, sd in zip(models, mass_sds, strict=True)
+    ]
+    mass_kg, interval95 = average(estimates, 0.0, np.inf)
+    means, covariance = _moments(models)
+    log, line = fit.logs[0], lines[0]
+    tare_residual = None
+    for tare, tare_line in zip(fit.logs[1:], lines[1:], strict=True):
+        used, slopes = tare.motion.used, tare_line.slopes
+        residual_nm = tare.torques_nm - tare_line.predicted_nm - slopes @ (means - fit.values)
+        tare_residual = FitResidual(residual_nm[:, used], tare.torques_nm[:, used])
+    sds = np.sqrt(np.diag(fit.covariance))
     return PayloadFit(
         mass_kg=mass_kg,
         interval95=interval95,
         signed_kg=float(means[MASS]),
-        sd_kg=float(np.sqrt(spread[MASS, MASS])),
-        centre=_centre(_models(steps, {**levels, "centre": _FREE})),
-        off_centre=sum(one.weight for one in models if one.levels["centre"]),
-        convention=steps.convention,
+        sd_kg=float(np.sqrt(covariance[MASS, MASS])),
+        centre=_centre(free_models),
+        off_centre=sum(model.weight for model in models if model.levels["centre"]),
+        convention=fit.convention,
         convention_odds=convention_odds,
         arm_odds=arm_odds,
         nuisances=tuple(
-            Nuisance(name, group, float(mean), float(sd), float(prior))
-            for name, group, mean, sd, prior in rows
+            Nuisance(name, terms.groups[k], float(means[k]), float(sds[k]), float(terms.sds[k]))
+            for k, name in enumerate(terms.names)
+            if k >= CENTRE.stop
         ),
-        bound_kg=float(np.sqrt(likeliest.watched[MASS, MASS])),
-        model=likeliest.levels,
-        seconds=motion.seconds,
-        effort_nm=steps.logs[0].torques_nm,
-        predicted_nm=line.predicted_nm + line.slopes @ (means - steps.values),
-        used=motion.used,
-        lag_s=float(means[terms.places("lag")[0]]),
-        tare_left=_tare_left(steps, tare, means),
+        bound_kg=mass_sds[0],
+        model=models[0].levels,
+        seconds=log.motion.seconds,
+        effort_nm=log.torques_nm,
+        predicted_nm=line.predicted_nm + line.slopes @ (means - fit.values),
+        used=log.motion.used,
+        lag_s=float(means[terms.indices("lag")[0]]),
+        tare_residual=tare_residual,
     )
 
 
-def _tare_left(steps: Steps, tare: ArmMotion | None, means: Array) -> Left | None:
-    if tare is None:
-        return None
-    line, effort_nm = steps.logs[1].about(steps.values), steps.logs[1].torques_nm
-    residual_nm = effort_nm - line.predicted_nm - line.slopes @ (means - steps.values)
-    return Left(residual_nm[:, tare.used], effort_nm[:, tare.used])
+def _moments(models: Sequence[WeightedModel]) -> tuple[Array, Array]:
+    """Means of all terms, shape (N,), and covariance of the payload's, (4, 4), of a mixture."""
+    means = np.sum([model.weight * model.means for model in models], axis=0)
+    parts = []
+    for model in models:
+        off = (model.means - means)[_PAYLOAD]
+        parts.append(model.weight * (model.covariance + np.outer(off, off)))
+    return means, np.sum(parts, axis=0)
 
 
-def _models(steps: Steps, levels: Mapping[str, Sequence[Level]]) -> tuple[Model, ...]:
-    groups = {name: steps.terms.places(name) for name in levels}
-    return weighed_models(steps.normal(), steps.sds, groups, levels, _PAYLOAD, SIMULATED)
-
-
-def _opinion(model: Model) -> ModelEstimate:
-    sd = float(np.sqrt(model.watched[MASS, MASS]))
-    return ModelEstimate(float(model.means[MASS]), (sd, sd), model.weight)
-
-
-def _moments(models: Sequence[Model]) -> tuple[Array, Array]:
-    """Means of all terms, shape (N,), and covariance of the payload's, (4, 4), over models."""
-    means = np.sum([one.weight * one.means for one in models], axis=0)
-    apart = [(one.means - means)[_PAYLOAD] for one in models]
-    spreads = [
-        one.weight * (one.watched + np.outer(off, off))
-        for one, off in zip(models, apart, strict=True)
-    ]
-    return means, np.sum(spreads, axis=0)
-
-
-def _centre(models: Sequence[Model]) -> Centre:
-    """Under models that leave it free."""
-    means, spread = _moments(models)
+def _centre(models: Sequence[WeightedModel]) -> Centre:
+    """First moments over the mass, under models that leave both free."""
+    means, covariance = _moments(models)
     mass_kg = max(float(means[MASS]), LEAST_MASS_KG)
     com_m = means[CENTRE] / mass_kg
+    # The error of a quotient to first order: its Jacobian by mass and first moments.
     to_com = np.concatenate([-com_m[:, None], np.eye(3)], axis=1) / mass_kg
-    sds_m = np.sqrt(np.diag(to_com @ spread @ to_com.T))
-    precision = np.linalg.inv(models[0].watched)
+    sds_m = np.sqrt(np.diag(to_com @ covariance @ to_com.T))
+    precision = np.linalg.inv(models[0].covariance)
     kg_for_m = precision[MASS, CENTRE] / precision[MASS, MASS] * mass_kg
+    x, y, z = com_m.tolist()
+    sd_x, sd_y, sd_z = sds_m.tolist()
+    kg_x, kg_y, kg_z = kg_for_m.tolist()
     return Centre(
-        com_m=_three(com_m),
-        sds_m=_three(sds_m),
+        com_m=(x, y, z),
+        sds_m=(sd_x, sd_y, sd_z),
         mass_kg=float(means[MASS]),
-        mass_sd_kg=float(np.sqrt(spread[MASS, MASS])),
-        kg_for_m=_three(kg_for_m),
+        mass_sd_kg=float(np.sqrt(covariance[MASS, MASS])),
+        kg_for_m=(kg_x, kg_y, kg_z),
     )
 
 
-def _three(values: NDArray[np.float64]) -> tuple[float, float, float]:
-    x, y, z = (float(one) for one in values)
-    return x, y, z
+def secant(
+    arm: Arm,
+    motion: ArmMotion,
+    convention: Convention,
+    lag_s: float,
+    tare: ArmMotion | None = None,
+) -> float:
+    """The mass [kg] by a line through two rollouts, as a cross-check; it may be below 0.
+
+    Torques are linear in the mass, so the arm without a payload and with 1 kg, driven along the
+    logged motion, give it by least squares in closed form. Only the sensors' offsets are taken out.
+
+    Args:
+        arm: as it is without a payload.
+        motion: while it held it.
+        convention: what its driver means by torque.
+        lag_s: of the torques behind the positions [s].
+        tare: while it held nothing: its mean residuals are the offsets.
+    """
+    arm = arm.without_limits()
+    path = JointPath(motion.seconds, *motion.at(motion.seconds - lag_s))
+    empty_nm = _empty_nm(arm, path, convention)
+    for_kg = joint_efforts_nm(arm, path, Payload(1.0)) - joint_efforts_nm(arm, path)
+    residual = convention.sign * motion.effort - empty_nm
+    used = motion.used
+    if tare is None:
+        # An offset of normal prior is projected out of both, less so where the noise is large.
+        noise = np.var(residual - np.mean(residual, axis=0), axis=0)
+        free = OFFSET_SD_NM**2 / (OFFSET_SD_NM**2 + noise / len(residual))
+        residual = residual - free * np.mean(residual, axis=0)
+        slopes = for_kg - free * np.mean(for_kg, axis=0)
+    else:
+        tare_path = JointPath(tare.seconds, *tare.at(tare.seconds - lag_s))
+        tare_nm = _empty_nm(arm, tare_path, convention)
+        residual = residual - np.mean(convention.sign * tare.effort - tare_nm, axis=0)
+        slopes = for_kg
+        used = used & tare.used
+    slopes, residual = slopes[:, used], residual[:, used]
+    return float(np.sum(slopes * residual) / np.sum(slopes**2))
+
+
+def _empty_nm(arm: Arm, path: JointPath, convention: Convention) -> Array:
+    """Torques of the empty arm as a driver of that convention gives them [N·m], shape (T, J)."""
+    empty_nm = joint_efforts_nm(arm, path)
+    return empty_nm if convention.has_gravity else empty_nm - held_efforts_nm(arm, path)

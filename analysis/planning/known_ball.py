@@ -1,34 +1,34 @@
-"""What a tuning knows of a ball: its restitution at any speed, and how surely."""
+"""What a tuning knows of a ball: its restitution at any speed, with a standard deviation."""
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from analysis.drop.bounce_fit import SLOPE_SD
+from analysis.model_averaging import TWO_SIDED
+from analysis.record import Interval, Record
+from analysis.record_json import read_record
 from recorders.simulators.drop import RESTITUTION
 from recorders.simulators.shot.speed_law import SpeedLaw
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import LogError, NotFoundError
-from tunenet_logs.wording import one_line
+from tunenet_logs.text import one_line
 
 TOLD_SD = 0.01
-"""Of a restitution that a user tells, or that has no interval."""
+"""Assumed of a restitution that a user gives without one, or that has no interval."""
 
-_SLOPE_SD = 0.1
-"""Of p before any bounce is seen, around 0; real balls have .03 to .22."""
-
-_NO_SPEED_SD = _SLOPE_SD * math.log(2)
+_NO_SPEED_SD = SLOPE_SD * math.log(2)
 """Of the logarithm of a restitution whose speed is unknown: the shot's may be half or twice it."""
 
 _LEAST_SD = 0.002
-_NORMAL_95 = 1.96
-_LARGEST_BYTES = 20_000_000
+"""Of any restitution: so that no bounce with a tiny interval outweighs all others."""
+
+_FASTEST_M_S = 1e4
+"""Of an impact; nothing that people drop is faster."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ class KnownBall:
     Attributes:
         law: the most likely one.
         covariance: of the logarithm of its restitution and of its slope, shape (2, 2).
-        bounces: how many told.
+        bounces: how many were fitted.
         remarks: what a user should know, in words.
     """
 
@@ -55,7 +55,7 @@ class KnownBall:
 
 
 def told_ball(restitution: float, slope: float = 0.0, sd: float = TOLD_SD) -> KnownBall:
-    """A ball whose restitution somebody tells.
+    """A ball whose restitution the user gives.
 
     Args:
         restitution: at 3 m/s where there is a slope, else at the shot's own impact.
@@ -75,22 +75,29 @@ def read_tuning(path: Path) -> KnownBall:
         LogError: cannot be read, or is no tuning of a ball.
         NotFoundError: the tuning was rejected; says why.
     """
-    told = _object(path)
-    if told.get("verdict") == "rejected":
+    record = read_record(path)
+    if record.verdict == "rejected":
         raise NotFoundError(
-            f"{path}: this tuning was rejected ({one_line(told.get('reason'))}); drop the ball "
+            f"{path}: this tuning was rejected ({one_line(record.reason)}); drop the ball "
             "again and tune that log"
         )
-    if told.get("task") not in (None, "drop"):
+    if record.task not in (None, "drop"):
         raise LogError(
-            f"{path}: is the tuning of a {one_line(told['task'])}, not of a drop; give one of a "
+            f"{path}: is the tuning of a {one_line(record.task)}, not of a drop; give one of a "
             "ball that bounced"
         )
-    value, sd = _value(path, told)
-    seen = [one for one in _bounces(path, told) if one[0] is not None]
+    try:
+        value, sd = _value_and_sd(record)
+        seen = [
+            (speed, *_checked(bounce.restitution, bounce.interval95))
+            for bounce in record.rebounds
+            if (speed := _checked_speed(bounce.impact_speed_m_s)) is not None
+        ]
+    except ValueError as error:
+        raise LogError(f"{path}: {error}; tune the log again") from error
     remarks = []
-    if told.get("verdict") == "suspect":
-        remarks.append(f"the tuning is suspect ({one_line(told.get('reason'))})")
+    if record.verdict == "suspect":
+        remarks.append(f"the tuning is suspect ({one_line(record.reason)})")
     if not seen:
         remarks.append(
             "the tuning knows no impact speeds: the restitution is taken as the same at all speeds"
@@ -99,22 +106,22 @@ def read_tuning(path: Path) -> KnownBall:
         return KnownBall(SpeedLaw(value), covariance, 0, tuple(remarks))
     if len(seen) == 1:
         remarks.append(
-            "the tuning does not tell how the restitution falls with speed: it is taken as the same"
+            "the tuning does not show how the restitution falls with speed: it is taken as the same"
         )
     return _fitted(np.array(seen, dtype=float), tuple(remarks))
 
 
 def _covariance(value: float, sd: float, more: float = 0.0) -> Array:
-    """Of a law of one restitution; `more` is the logarithm's spread for other reasons."""
+    """Of a law of one restitution, shape (2, 2); `more` is the logarithm's sd for other reasons."""
     return np.diag([(max(sd, _LEAST_SD) / max(value, TOLD_SD)) ** 2 + more**2, 0.0])
 
 
 def _fitted(seen: Array, remarks: tuple[str, ...]) -> KnownBall:
-    """The law ln e = a - p ln(v / v_1) that suits the bounces best, p ~ N(0, .1) before.
+    """The law ln e = a - p ln(v / v_1) by Bayesian linear regression, with the prior p ~ N(0, 0.1).
 
     Args:
-        seen: speed, restitution and its standard deviation of each, shape (N, 3).
-        remarks: to hand on.
+        seen: speed [m/s], restitution and its standard deviation of each bounce, shape (N, 3).
+        remarks: of the ball.
     """
     speeds, values, sds = seen.T
     sds = np.maximum(sds, _LEAST_SD)
@@ -124,68 +131,31 @@ def _fitted(seen: Array, remarks: tuple[str, ...]) -> KnownBall:
     at = float(speeds[0])
     rows = np.column_stack([np.ones(len(speeds)), -np.log(speeds / at)])
     weights = (values / sds) ** 2
-    precision = rows.T @ (rows * weights[:, None]) + np.diag([0.0, _SLOPE_SD**-2])
+    precision = rows.T @ (rows * weights[:, None]) + np.diag([0.0, SLOPE_SD**-2])
     covariance = np.linalg.inv(precision)
     level, slope = covariance @ (rows.T @ (weights * np.log(values)))
     law = SpeedLaw(min(math.exp(level), 1.0), float(np.clip(slope, -1.0, 1.0)), at)
     return KnownBall(law, covariance, len(speeds), remarks)
 
 
-def _object(path: Path) -> dict[str, Any]:
-    try:
-        with path.open("rb") as file:
-            data = file.read(_LARGEST_BYTES + 1)
-        told = json.loads(data) if len(data) <= _LARGEST_BYTES else None
-    except OSError as error:
-        raise LogError(
-            f"{path}: cannot be read ({error.strerror}); give a tuning's .json"
-        ) from error
-    except (ValueError, RecursionError) as error:
-        raise LogError(
-            f"{path}: is no JSON ({one_line(error)}); give the .json that tunenet-tune wrote"
-        ) from error
-    if not isinstance(told, dict) or "verdict" not in told or "parameters" not in told:
-        raise LogError(f"{path}: is no tuning; give the .json that tunenet-tune wrote")
-    return told
-
-
-def _value(path: Path, told: dict[str, Any]) -> tuple[float, float]:
+def _value_and_sd(record: Record) -> tuple[float, float]:
     """Restitution at the first impact, and its standard deviation."""
-    parameters = told["parameters"]
-    one = parameters.get(RESTITUTION.name) if isinstance(parameters, dict) else None
-    if not isinstance(one, dict):
-        raise LogError(f"{path}: holds no restitution; give the tuning of a dropped ball")
-    return _restitution(path, one.get("value")), _sd(path, one.get("interval95"))
+    known = record.estimate(RESTITUTION.name)
+    if known is None or not isinstance(known.value, float):
+        raise ValueError("holds no restitution; give the tuning of a dropped ball")
+    return _checked(known.value, known.interval95)  # pyright: ignore[reportArgumentType]
 
 
-def _bounces(path: Path, told: dict[str, Any]) -> Sequence[tuple[float | None, float, float]]:
-    found = []
-    for one in told.get("bounces") or ():
-        if not isinstance(one, dict):
-            raise LogError(f"{path}: its bounces are not a tuning's; tune the log again")
-        speed = one.get("impact_speed")
-        if speed is not None and not (_is_number(speed) and 0 < speed < 1e4):
-            raise LogError(f"{path}: impact_speed {one_line(speed)} is none; tune the log again")
-        value, sd = _restitution(path, one.get("restitution")), _sd(path, one.get("interval95"))
-        found.append((speed, value, sd))
-    return found
+def _checked(restitution: float, interval95: Interval | None) -> tuple[float, float]:
+    """A restitution and its standard deviation."""
+    if not 0 <= restitution <= 1:
+        raise ValueError(f"restitution {restitution:g} is not a number from 0 to 1")
+    if interval95 is None:
+        return restitution, TOLD_SD
+    return restitution, abs(interval95[1] - interval95[0]) / 2 / TWO_SIDED
 
 
-def _restitution(path: Path, value: Any) -> float:
-    if not _is_number(value) or not 0 <= value <= 1:
-        raise LogError(
-            f"{path}: restitution {one_line(value)} is not a number from 0 to 1; tune the log again"
-        )
-    return float(value)
-
-
-def _sd(path: Path, ends: Any) -> float:
-    if ends is None:
-        return TOLD_SD
-    if not (isinstance(ends, list) and len(ends) == 2 and all(map(_is_number, ends))):
-        raise LogError(f"{path}: interval95 {one_line(ends)} is none; tune the log again")
-    return abs(float(ends[1]) - float(ends[0])) / 2 / _NORMAL_95
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+def _checked_speed(speed_m_s: float | None) -> float | None:
+    if speed_m_s is not None and not 0 < speed_m_s < _FASTEST_M_S:
+        raise ValueError(f"impact_speed {speed_m_s} is none")
+    return speed_m_s

@@ -24,10 +24,13 @@ SHOTS = 100
 """Heights that are tried: the paper's number."""
 
 _ENOUGH_SDS = 30.0
-"""Of shots that forgive so much, the best is the one that passes nearest to the centre."""
+"""Standard deviations: of shots with a larger margin, the best passes nearest to the centre."""
 
 _MOST_JUDGED = 40
+"""Heights whose margins are searched, those nearest to the centre: each costs many rollouts."""
+
 _LEAST_HEIGHT_SD_M = 1e-4
+"""No robot lets go more precisely; keeps the margin finite where the rig gives 0."""
 
 
 @dataclass(frozen=True)
@@ -35,16 +38,16 @@ class BestShot:
     """The shot to take.
 
     Attributes:
-        index: of its height.
-        height_m: from which the ball is let go.
-        miss_m: from the hoop's centre where it passes.
+        index: of its height among those that were tried.
+        height_m: from which the ball is let go, above its touching the plane.
+        miss_m: from the hoop's centre to where the ball passes its plane.
         clearance_m: between ball and rim at the nearest.
         impact_m_s: speed along the plane's normal.
         restitution: at that speed.
-        restitution_sd: of it.
-        restitutions: between which the ball still passes without touching the rim.
-        heights_m: likewise.
-        margin: the nearest of these four ends, in standard deviations.
+        restitution_sd: its standard deviation.
+        restitutions: least and greatest with which the ball passes without touching the rim.
+        heights_m: least and greatest height from which it does.
+        margin: to the nearest of these four ends, in standard deviations.
     """
 
     index: int
@@ -61,16 +64,18 @@ class BestShot:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What came of trying.
+    """The heights that were tried, and the best.
 
     Attributes:
-        heights_m: that were tried, shape (N,).
+        rig: plane, hoop and reach.
+        ball: as it is known.
+        heights_m: that were tried, ascending, shape (N,).
         offset_m: where each would pass the hoop's plane, forward and left of its centre; NaN for
             one that never comes down there; (N, 2).
-        clearance_m: between ball and rim; negative where it would touch or pass outside, (N,).
+        clearance_m: see `signed_gap_m`, shape (N,).
         flights: with the rim in the way, and the paths.
         best: None where no height passes.
-        seconds: that planning took.
+        seconds: of wall time that planning took.
     """
 
     rig: ShotRig
@@ -84,12 +89,12 @@ class Plan:
 
     @property
     def miss_m(self) -> Array:
-        """From the hoop's centre, shape (N,); NaN for a ball that never comes down there."""
+        """From the hoop's centre, shape (N,) [m]; NaN for a ball that never comes down there."""
         return np.hypot(*self.offset_m.T)
 
     @property
     def nearest(self) -> int:
-        """The index that passes nearest to the centre."""
+        """The index of the height that passes nearest to the centre."""
         return int(np.argmin(np.nan_to_num(self.miss_m, nan=np.inf)))
 
     @property
@@ -119,7 +124,7 @@ class Plan:
 
 
 def plan_shot(rig: ShotRig, ball: KnownBall, shots: int = SHOTS) -> Plan:
-    """Try `shots` heights, 2 or more, and choose the best."""
+    """Try `shots` heights, 2 or more, evenly over the reach, and choose the best."""
     start = time.perf_counter()
     heights = np.linspace(rig.release.lowest_m, rig.release.highest_m, shots)
     tried = passes(rig, ball.law, heights, np.zeros(shots))
@@ -137,6 +142,14 @@ def plan_shot(rig: ShotRig, ball: KnownBall, shots: int = SHOTS) -> Plan:
 
 
 def _best(rig: ShotRig, ball: KnownBall, heights: Array, tried: Flights) -> BestShot | None:
+    """Of the passing heights the one with the largest margin; None where none passes.
+
+    Args:
+        rig: plane, hoop and reach.
+        ball: as it is known.
+        heights: that were tried, shape (N,) [m].
+        tried: their flights with nothing in the way.
+    """
     gaps = signed_gap_m(tried)
     candidates = np.flatnonzero(gaps > 0)
     if not len(candidates):
@@ -177,4 +190,4 @@ def _best(rig: ShotRig, ball: KnownBall, heights: Array, tried: Flights) -> Best
                 margin=float(margin),
             )
         )
-    return max(judged, key=lambda one: (min(one.margin, _ENOUGH_SDS), -one.miss_m))
+    return max(judged, key=lambda shot: (min(shot.margin, _ENOUGH_SDS), -shot.miss_m))

@@ -1,4 +1,4 @@
-"""A plan in words and in JSON."""
+"""A plan as a table, in words and as JSON."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 from analysis.planning.plan import BestShot, Plan
 
 _EVERY = 10
-"""Of the heights that do not score, every tenth is in the table."""
+"""Of the heights that do not score, every tenth is in the table: all would fill a screen."""
 
 
 def plan_json(plan: Plan) -> str:
@@ -34,7 +34,7 @@ def plan_json(plan: Plan) -> str:
             strict=True,
         )
     ]
-    told: dict[str, Any] = {
+    content: dict[str, Any] = {
         "task": "bounce-shot",
         "unit": "m",
         "ball": {
@@ -49,7 +49,7 @@ def plan_json(plan: Plan) -> str:
         "rig": asdict(plan.rig),
         "seconds": {"plan": round(plan.seconds, 4)},
     }
-    return json.dumps(told, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def _best(best: BestShot) -> dict[str, Any]:
@@ -82,7 +82,7 @@ def plan_table(plan: Plan) -> str:
 
 
 def best_lines(plan: Plan) -> list[str]:
-    """The shot to take, and how far off all may be."""
+    """The shot to take, and how far off its restitution and height may be."""
     best = plan.best
     if best is None:
         return ["no height scores"]

@@ -1,4 +1,8 @@
-"""How far off a shot may be and the ball still passes: looked for until it does not."""
+"""How far off a shot may be and the ball still passes.
+
+Heights and restitutions are tried on a grid around a shot, which is widened until the ball does not
+pass; between grid points, the end is where the linearly interpolated gap is zero.
+"""
 
 from __future__ import annotations
 
@@ -12,42 +16,53 @@ from recorders.simulators.shot.rig import ShotRig
 from tunenet_logs.arrays import Array
 
 Range = tuple[float, float]
+"""Lower and upper end."""
 
-_ROOM_M = 0.03
-_ROOM_SDS = 5
+_ROOM_M, _ROOM_SDS = 0.03, 5
+"""Beyond the reach: 30 mm, or more standard deviations of a height than a shot is ever off."""
+
 _MOST_ROOM_M = 1.0
-"""Beyond the reach; what passes even there is told as passing so far."""
+"""Beyond the reach: a shot that passes even from there is reported as passing that far."""
 
 _FEWEST, _MOST = 12, 100
-"""Heights that are tried at a time beyond either end of the reach."""
+"""Heights that are tried at a time beyond either end of the reach: as dense as those within it,
+but enough to find an end, and not too many for the time a user waits."""
 
 _FIRST_SHIFT = 0.15
+"""Of the restitution, to either side, at first: the default hoop forgives about 0.04."""
+
 _SHIFTS = 15
-"""That are tried at a time to either side."""
+"""That are tried at a time to either side: a hundredth apart at first."""
 
 _LEAST_HEIGHT_M = 0.005
+"""The lowest height that is tried: from 0 m a ball has no impact."""
+
 _OUTSIDE = -1.0
+"""[m] Added to the negative gap of a ball that passes outside, to tell it from one that touches."""
 
 
 def signed_gap_m(flights: Flights) -> Array:
-    """Between ball and rim where it passes inside; negative where it touches or passes outside."""
+    """Between ball and rim, shape (N,) [m]; negative unless it passes inside without touching."""
     return np.where(flights.is_through, flights.gap_m, -np.abs(flights.gap_m) + _OUTSIDE)
 
 
 def height_ends(
     rig: ShotRig, ball: KnownBall, heights_m: Array, gaps_m: Array, which: NDArray[np.int64]
 ) -> list[Range]:
-    """The heights around each of those asked for between which the ball passes.
+    """Around each given height, the least and greatest [m] from which the ball passes.
 
-    They are looked for beyond the reach too: as far as five standard deviations of a height and
-    30 mm, and on until the ball does not pass, or for 1 m.
+    They are searched beyond the reach too: by five standard deviations of a height or 30 mm, and
+    on until the ball does not pass, or for 1 m.
 
     Args:
-        rig: where.
-        ball: which.
+        rig: plane, hoop and reach.
+        ball: as it is known.
         heights_m: ascending, shape (N,).
         gaps_m: signed, at these, shape (N,).
-        which: indices of heights from which it passes.
+        which: indices of heights from which it passes, shape (M,).
+
+    Returns:
+        M ranges.
     """
     wide, gaps, before = heights_m, gaps_m, 0
     pitch_m = (heights_m[-1] - heights_m[0]) / (len(heights_m) - 1)
@@ -74,10 +89,13 @@ def restitution_ends(rig: ShotRig, ball: KnownBall, heights_m: Array, values: Ar
     """How far off each shot's restitution may be, down and up, and the ball still passes.
 
     Args:
-        rig: where.
-        ball: which.
+        rig: plane, hoop and reach.
+        ball: as it is known.
         heights_m: from which it passes, shape (N,).
-        values: its restitutions there; of ends beyond 0 and 1 there is nothing to find, (N,).
+        values: its restitutions there, shape (N,); ends beyond 0 and 1 are not searched.
+
+    Returns:
+        N ranges of differences from `values`.
     """
     shifts = np.linspace(-_FIRST_SHIFT, _FIRST_SHIFT, 2 * _SHIFTS + 1)
     gaps = _shifted_gaps_m(rig, ball, heights_m, shifts)
@@ -97,22 +115,29 @@ def restitution_ends(rig: ShotRig, ball: KnownBall, heights_m: Array, values: Ar
 
 
 def _shifted_gaps_m(rig: ShotRig, ball: KnownBall, heights_m: Array, shifts: Array) -> Array:
-    """Signed gaps at each height (row) and shift of the restitution (column)."""
+    """Signed gaps at N heights and S shifts of the restitution, shape (N, S) [m]."""
     grid = np.repeat(heights_m, len(shifts)), np.tile(shifts, len(heights_m))
     return signed_gap_m(passes(rig, ball.law, *grid)).reshape(len(heights_m), len(shifts))
 
 
-def _ends(places: Array, gaps: Array, index: int) -> Range:
-    """The places around `index` between which all gaps are positive."""
+def _ends(values: Array, gaps: Array, index: int) -> Range:
+    """The range of values around `index` in which all gaps are positive.
+
+    Args:
+        values: ascending, shape (N,).
+        gaps: at these, shape (N,) [m].
+        index: of a positive gap.
+    """
     found = []
     for way in (-1, 1):
         at = index
-        while 0 <= at + way < len(places) and gaps[at + way] > 0:
+        while 0 <= at + way < len(values) and gaps[at + way] > 0:
             at += way
-        end = float(places[at])
-        if 0 <= at + way < len(places):
+        end = float(values[at])
+        if 0 <= at + way < len(values):
             inside, outside = gaps[at], gaps[at + way]
-            share = inside / (inside - outside) if outside > _OUTSIDE else 0.5
-            end += float(share * (places[at + way] - places[at]))
+            # Only a ball inside the hoop has a gap that goes through zero where it touches.
+            fraction = inside / (inside - outside) if outside > _OUTSIDE else 0.5
+            end += float(fraction * (values[at + way] - values[at]))
         found.append(end)
     return found[0], found[1]

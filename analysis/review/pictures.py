@@ -7,20 +7,20 @@ from contextlib import suppress
 import numpy as np
 import rerun as rr
 
-from analysis.review.sending import at_seconds
+from analysis.review.drawing import at_seconds
 from analysis.tracking.pictures import readable_frames
-from analysis.tuning import Tuning
+from analysis.tuning_result import Tuning
 from tunenet_logs.episode import Frame
 from tunenet_logs.errors import LogError
 
 _REDUCED_PX = 640
-"""Longer side of a picture that is made smaller [px]."""
+"""Longer side of a picture that is made smaller: about what a view on a screen shows."""
 
 _QUALITY = 85
 """Of its JPEG, 0 to 100: what the eye cannot tell from the original."""
 
 _MOST_RECORDED = 240
-"""Pictures of a recording in which nothing was found: some seconds of it, at a glance."""
+"""Pictures of a recording in which nothing was found: enough to see why, and soon loaded."""
 
 
 def log_recorded_film(stream: rr.RecordingStream, tuning: Tuning) -> bool:
@@ -28,7 +28,11 @@ def log_recorded_film(stream: rr.RecordingStream, tuning: Tuning) -> bool:
     episode = tuning.episode
     if episode is None or episode.signals or not episode.picture_topics:
         return False
-    total = sum(one.messages for one in episode.channels if one.topic == episode.picture_topics[0])
+    total = sum(
+        channel.messages
+        for channel in episode.channels
+        if channel.topic == episode.picture_topics[0]
+    )
     every = max(1, -(-total // _MOST_RECORDED))
     frames: list[Frame] = []
     for index, frame in enumerate(readable_frames(episode, episode.picture_topics[0])):

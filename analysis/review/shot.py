@@ -14,21 +14,24 @@ import rerun.blueprint as rrb
 
 from analysis.planning.plan import Plan
 from analysis.planning.plan_report import best_lines
-from analysis.review.grid import WIDTH, chart_view, log_grid, ticks
-from analysis.review.sending import screen_radius
+from analysis.review.charts import WIDTH, chart_view, log_grid, ticks
+from analysis.review.drawing import GROUND, Color, screen_radius
 from recorders.simulators.shot.flight import STEP_S
 from tunenet_logs.arrays import Array
-from tunenet_logs.wording import one_line
-
-Color = tuple[int, ...]
+from tunenet_logs.text import one_line
 
 SHOT_TIME = "shot_time_s"
-"""Seconds since the ball was let go."""
+"""The timeline that plays: seconds since the ball was let go."""
 
-_GROUND = (16, 18, 24)
-_BEST, _PASSES, _OFF_RIM, _MISSES = (255, 196, 60), (70, 200, 150), (225, 110, 90), (95, 100, 115)
-_BOARD, _HOOP = (120, 104, 84), (235, 90, 60)
+_BEST: Color = (255, 196, 60)
+_PASSES: Color = (70, 200, 150)
+_OFF_RIM: Color = (225, 110, 90)
+_MISSES: Color = (95, 100, 115)
+_BOARD: Color = (120, 104, 84)
+_HOOP: Color = (235, 90, 60)
+
 _MOST_CHART_M = 0.3
+"""Of a miss, either way: with larger ones in the chart, those at the hoop would be a line."""
 
 
 def write_shots(plan: Plan, path: Path) -> None:
@@ -37,8 +40,8 @@ def write_shots(plan: Plan, path: Path) -> None:
     Raises:
         OSError: `path` cannot be written.
     """
-    told = f"{plan.rig} {plan.ball.law}".encode() + plan.heights_m.tobytes()
-    identity = hashlib.sha256(told).hexdigest()[:16]
+    shown = f"{plan.rig} {plan.ball.law}".encode() + plan.heights_m.tobytes()
+    identity = hashlib.sha256(shown).hexdigest()[:16]
     stream = rr.RecordingStream("tunenet plan bounce-shot", recording_id=identity)
     memory = stream.memory_recording()
     stream.send_recording_name("bounce shot")
@@ -115,7 +118,7 @@ def _log_best(stream: rr.RecordingStream, plan: Plan) -> None:
 
 
 def _path(plan: Plan, index: int) -> Array:
-    """The centres of one shot, until it is over and stays, shape (T, 3)."""
+    """The ball's centres until its shot is over, shape (T, 3) [m]."""
     path = plan.flights.positions_m[:, index]
     moves = np.flatnonzero((path[1:] != path[:-1]).any(axis=1))
     return path[: moves[-1] + 2]
@@ -170,7 +173,7 @@ def _blueprint(plan: Plan) -> rrb.Blueprint:
     scene = rrb.Spatial3DView(
         origin="/shots",
         name="shots",
-        background=_GROUND,
+        background=GROUND,
         line_grid=False,
         eye_controls=rrb.EyeControls3D(
             position=eye.tolist(), look_target=middle.tolist(), eye_up=(0.0, 0.0, 1.0)

@@ -9,33 +9,28 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable
 from pathlib import Path
 
 import rerun as rr
 import rerun.blueprint as rrb
 
-from analysis.drop.detection import DropDetection
-from analysis.drop.review.layout import log_drop
-from analysis.payload.detection import PayloadDetection
-from analysis.payload.review.layout import log_payload
+from analysis.record import Record
+from analysis.result_files import review_name
+from analysis.review.drawing import LOG_TIME, entity_of, send_scalars
 from analysis.review.pictures import log_recorded_film
-from analysis.review.sending import LOG_TIME, entity_of, send_scalars
 from analysis.review.words import result_words
-from analysis.tuning import Tuning
-from tunenet_logs.wording import one_line
-
-_REVIEWS: dict[type, Callable[[rr.RecordingStream, Tuning], rrb.Container]] = {
-    DropDetection: log_drop,
-    PayloadDetection: log_payload,
-}
-"""What is drawn of what was found, and how it is laid out."""
+from analysis.tuning_result import Tuning
+from tunenet_logs.text import one_line
 
 _MOST_CURVES = 150
 """Of a log in which nothing was found: more can neither be told apart nor be loaded soon."""
 
 _MOST_VIEWS = 4
+"""One for each unit: more would be too low to read."""
+
 _MOST_NAMES = 13
+"""Of a legend: what fits beside a view."""
+
 _BESIDE = 1.6
 """How much longer than the curves an axis is that has a legend beside them."""
 _QUANTITIES = {
@@ -47,25 +42,37 @@ _QUANTITIES = {
 """Of a unit."""
 
 
-def write_review(tuning: Tuning, path: Path) -> None:
+def write_review(tuning: Tuning, record: Record, path: Path) -> None:
     """Write the review of a tuning to `path` (.rrd).
 
     Raises:
         OSError: `path` cannot be written.
     """
-    told = os.fsencode(tuning.log.resolve()) + f" {tuning.preset} {tuning.digest}".encode()
-    identity = hashlib.sha256(told).hexdigest()[:16]
-    stream = rr.RecordingStream(f"tunenet review {tuning.task or 'log'}", recording_id=identity)
+    identity = os.fsencode(tuning.log.resolve()) + f" {tuning.preset} {tuning.digest}".encode()
+    name = hashlib.sha256(identity).hexdigest()[:16]
+    if record.provenance is not None and record.provenance.log_sha256:
+        name = review_name(record.provenance.log_sha256)
+    stream = rr.RecordingStream(f"tunenet review {tuning.task or 'log'}", recording_id=name)
     memory = stream.memory_recording()  # Rerun's own file sink only prints that a disk is full
     stream.send_recording_name(os.fsencode(tuning.log.name).decode(errors="replace"))
-    text = result_words(tuning)
-    if tuning.found is None:
+    text = result_words(
+        record, tuning.preset, tuning.experiment.occasion if tuning.experiment else None
+    )
+    if tuning.detection is None or tuning.experiment is None:
         views, left_out = _log_recorded(stream, tuning)
         text += f"\n\n- {left_out} more curves are not drawn" if left_out else ""
         layout = _recorded_layout(views, log_recorded_film(stream, tuning))
     else:
-        layout = _REVIEWS[type(tuning.found)](stream, tuning)
-    stream.send_blueprint(_blueprint(layout))
+        layout = tuning.experiment.review(stream, tuning)
+    blueprint = rrb.Blueprint(
+        layout,
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.TimePanel(state="collapsed", timeline=LOG_TIME),
+        auto_views=False,
+        auto_layout=False,
+    )
+    stream.send_blueprint(blueprint)
     stream.log("result", rr.TextDocument(text, media_type="text/markdown"), static=True)
     stream.flush()
     path.write_bytes(memory.drain_as_bytes())
@@ -113,14 +120,3 @@ def _recorded_layout(views: list[rrb.View], filmed: bool) -> rrb.Container:
     if not views:
         return rrb.Horizontal(result)
     return rrb.Horizontal(rrb.Vertical(*views), result, column_shares=[3, 2])
-
-
-def _blueprint(layout: rrb.Container) -> rrb.Blueprint:
-    return rrb.Blueprint(
-        layout,
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-        rrb.TimePanel(state="collapsed", timeline=LOG_TIME),
-        auto_views=False,
-        auto_layout=False,
-    )

@@ -1,89 +1,85 @@
-"""The result in words."""
+"""The result in words, as Markdown."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from analysis.drop.bounces import ReportedBounce, bounces_of
-from analysis.drop.checks import Check
-from analysis.record import further_words, interval_words
-from analysis.tuning import Tuning
-from recorders.simulators.base import Parameter
-from tunenet_logs.wording import one_line
+from analysis.checks import Check
+from analysis.record import Rebound, Record
+from analysis.report import extra_words, interval_words
+from tunenet_logs.text import one_line
 
 _SHOWN = 7
 """Iterations in the table: the last ones."""
 
 _MOST_BOUNCES = 6
 _MOST_WARNINGS = 50
+"""Rows and lines that a reader still looks through; the JSON has all."""
 
 
-def result_words(tuning: Tuning) -> str:
-    """Value, verdict, what to do next time, bounces, iterations and checks as Markdown."""
+def result_words(record: Record, preset: str, occasion: str | None) -> str:
+    """Value, verdict, what to do next time, bounces, iterations and checks.
+
+    Args:
+        record: of the tuning.
+        preset: that it was tuned with.
+        occasion: what a user does again, e.g. "drop"; None where that is not known.
+    """
     lines: list[str] = []
-    if tuning.estimate is not None:
-        named = zip(tuning.parameters, tuning.estimate, strict=True)
-        lines += [f"# {one.name} {value:.4f}{_unit_of(one)}" for one, value in named]
-    if tuning.interval95 is not None:
-        lines += [f"95 %: {interval_words(*ends)}" for ends in tuning.interval95]
-    lines += [further_words(one) for one in tuning.further]
-    lines.append(
-        f"**{tuning.verdict}**" + (f": {one_line(tuning.reason)}" if tuning.reason else "")
-    )
-    lines += _cross_check(tuning)
-    lines += _next_time(tuning)
-    if tuning.refined is not None and tuning.refined.rebounds:
-        lines += _bounces(bounces_of(tuning))
-    lines += _iterations(tuning)
-    if tuning.checks:
-        lines.append("\n".join(["checks:", "", *map(_check, tuning.checks)]))
-    lines += [f"- {one_line(warning)}" for warning in tuning.warnings[:_MOST_WARNINGS]]
-    if len(tuning.warnings) > _MOST_WARNINGS:
-        lines.append(f"- {len(tuning.warnings) - _MOST_WARNINGS} more warnings")
+    for known in record.estimates:
+        if isinstance(known.value, tuple):
+            lines.append(extra_words(known))
+            continue
+        unit = "" if known.unit == "1" else f" {known.unit}"
+        lines.append(f"# {known.name} {known.value:.4f}{unit}")
+        if known.interval95 is not None:
+            low, high = known.interval95
+            lines.append(f"95 %: {interval_words(low, high)}")  # pyright: ignore[reportArgumentType]
+    reason = f": {one_line(record.reason)}" if record.reason else ""
+    lines.append(f"**{record.verdict}**{reason}")
+    cross = record.cross_check
+    if cross is not None and record.estimates:
+        agrees = "agrees" if cross.agrees else "**disagrees**"
+        lines.append(f"cross-check {agrees}: {cross.value:.4f} by {cross.method}")
+    # What would let each failed check pass; the reason has the first one's only.
+    remedies = [check.advice for check in record.checks if not check.passed and check.advice]
+    if len(remedies) > 1:
+        listed = "\n".join(f"- {remedy}" for remedy in dict.fromkeys(remedies))
+        lines.append(f"at the next {occasion}:\n\n{listed}")
+    if len(record.rebounds) > 1:
+        lines += _bounces(record.rebounds)
+    if record.iterations:
+        lines += _iterations(record, preset)
+    if record.checks:
+        lines.append("\n".join(["checks:", "", *map(_check, record.checks)]))
+    lines += [f"- {one_line(warning)}" for warning in record.warnings[:_MOST_WARNINGS]]
+    if len(record.warnings) > _MOST_WARNINGS:
+        lines.append(f"- {len(record.warnings) - _MOST_WARNINGS} more warnings")
     return "\n\n".join(lines)
 
 
-def _cross_check(tuning: Tuning) -> list[str]:
-    cross = tuning.cross_check
-    if cross is None or tuning.estimate is None:
-        return []
-    verdict = "agrees" if cross.agrees else "**disagrees**"
-    return [f"cross-check {verdict}: {cross.value:.4f} by {cross.method}"]
-
-
-def _next_time(tuning: Tuning) -> list[str]:
-    """What would let each failed check pass; the reason has the first one's only."""
-    orders = [one.advice for one in tuning.checks if not one.passed and one.advice]
-    if len(orders) < 2:
-        return []
-    named = "\n".join(f"- {order}" for order in dict.fromkeys(orders))
-    return [f"at the next {tuning.occasion}:\n\n{named}"]
-
-
-def _bounces(bounces: Sequence[ReportedBounce]) -> list[str]:
-    if not bounces:
-        return []
+def _bounces(bounces: Sequence[Rebound]) -> list[str]:
     rows = []
-    for number, one in enumerate(bounces[:_MOST_BOUNCES], start=1):
-        ends = "-" if one.interval95 is None else "{:.3f} to {:.3f}".format(*one.interval95)
-        speed = "-" if one.impact_speed_m_s is None else f"{one.impact_speed_m_s:.2f} m/s"
-        rows.append((str(number), f"{one.restitution:.3f}", ends, speed))
-    told = table(("bounce", "restitution", "95 %", "impact at"), rows)
-    left = len(bounces) - _MOST_BOUNCES
-    return [told, f"{left} more in the JSON"] if left > 0 else [told]
+    for number, bounce in enumerate(bounces[:_MOST_BOUNCES], start=1):
+        ends = "-" if bounce.interval95 is None else "{:.3f} to {:.3f}".format(*bounce.interval95)
+        speed_m_s = bounce.impact_speed_m_s
+        speed = "-" if speed_m_s is None else f"{speed_m_s:.2f} m/s"
+        rows.append((str(number), f"{bounce.restitution:.3f}", ends, speed))
+    shown = table(("bounce", "restitution", "95 %", "impact at"), rows)
+    more = len(bounces) - _MOST_BOUNCES
+    return [shown, f"{more} more in the JSON"] if more > 0 else [shown]
 
 
-def _iterations(tuning: Tuning) -> list[str]:
-    if tuning.trace is None:
-        return []
-    said = f"{tuning.method}, preset {tuning.preset}, {tuning.rollouts} rollouts"
-    if not tuning.physical:
+def _iterations(record: Record, preset: str) -> list[str]:
+    said = f"{record.method}, preset {preset}, {record.rollouts} rollouts"
+    if not record.physical:
         said += "; the engine's number under the paper's settings"
-    shown = list(enumerate(tuning.trace.steps))[-_SHOWN:]
-    cells = [(str(k), f"{step.values[0]:.4f}") for k, step in shown]
-    if tuning.refined is not None:
+    name = next(iter(record.iterations[0]))
+    shown = list(enumerate(record.iterations))[-_SHOWN:]
+    cells = [(str(k), f"{values[name]:.4f}") for k, values in shown]
+    if record.is_fitted:
         cells[-1] = ("refined", cells[-1][1])
-    names, values = zip(("k", tuning.parameters[0].name), *cells, strict=True)
+    names, values = zip(("k", name), *cells, strict=True)
     return [said, table(names, [values])]
 
 
@@ -91,11 +87,6 @@ def _check(check: Check) -> str:
     """As a line of a list: what a table holds does not wrap."""
     name = one_line(check.name) if check.passed else f"**failed: {one_line(check.name)}**"
     return f"- {name}: {one_line(check.detail)}"
-
-
-def _unit_of(parameter: Parameter) -> str:
-    """What to write behind a value."""
-    return "" if parameter.unit == "1" else f" {parameter.unit}"
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

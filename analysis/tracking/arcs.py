@@ -1,4 +1,9 @@
-"""The longest free flight among the candidates: what no hand, shadow or person does."""
+"""The longest free flight among the candidates: what no hand, shadow or person does.
+
+A search as RANSAC's: triples of candidates at even strides that bend as a fall does are seeds,
+those first whose parabola most others lie on; each seed grows to the pictures around it, by least
+squares in turn with a new choice of what lies near; the flight with the best score is the ball's.
+"""
 
 from __future__ import annotations
 
@@ -8,30 +13,65 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.tracking.candidates import Candidates
-from analysis.tracking.triples import (
-    AREA_RATIO,
-    COLOUR_APART,
-    LEAST_BEND_PX,
-    accelerated_triples,
-    tolerance_px,
-)
 from tunenet_logs.arrays import Array
 
 Index = NDArray[np.intp]
 
+LEAST_FRAMES = 6
+"""Pictures of a flight: three lie on a parabola by themselves, three more must agree."""
+
+_COLOUR_APART = 70.0
+"""Distance in RGB (0 to 255): blur and light change a flying ball's colour by less."""
+
+_AREA_RATIO = 2.2
+"""Of one candidate's area to the next one's: blur and a bad outline change it by less."""
+
+_STRIDES_S = (0.016, 0.033, 0.06)
+_STRIDES = (1, 2, 4, 7)
+"""Between the pictures of a triple, in seconds and in pictures: how fast a film plays need not be
+how fast it was filmed."""
+
+_LEAST_BEND_PX = 0.25
+_LEAST_TRAVEL_PX = 2.0
+"""Of a triple: noise bends less, and what stands travels less."""
+
+_LEAST_WITNESSES = 2
+"""Of four further pictures at the same stride: those on a triple's parabola, if it is a flight."""
+
 _MOST_SEEDS = 500
 _FINALISTS = 60
+"""Triples that grow once, and arcs that grow to the end: they bound the time of a busy film."""
+
 _LEAST_GROWN = 5
-LEAST_FRAMES = 6
+"""Pictures of a triple that has grown once: with fewer it is not grown to the end."""
+
+_LEAST_POINTS = 3
+"""Pictures that define a parabola."""
+
+_MOST_MISSES = 3
+"""Pictures in a row without the ball that end a flight: a bounce or a hand comes between."""
+
 _ENOUGH_FRAMES = 16
+"""More of them do not make a flight likelier."""
+
 _FALLEN = 5.0
+"""Sags that a flight's travel may count: a fall from rest travels 4."""
+
 _LOOSE_PX, _LOOSE = 0.3, 0.15
-_SMALLEST_BALL = 2500.0
+"""Rms distance from the parabola that halves a score: the sum of .3 px and .15 ball radii."""
+
+_MOST_RADII_S2 = 2500.0
 """Most acceleration [ball radii/s²]: a ball of 4 mm radius, falling on Earth, filmed at most at
 its true rate."""
 
-_WAYS = (((0.0, 1.0), 2.0), ((0.0, -1.0), 1.0), ((1.0, 0.0), 1.0), ((-1.0, 0.0), 1.0))
-"""Where down may be in a picture, and how much that is favoured."""
+_LEAST_SAG_PX, _LEAST_SAG = 2.0, 0.3
+"""Px and ball radii, added: a flight sags more below the straight line between its ends."""
+
+_MOST_SIDEWAYS = 0.7
+"""Of the acceleration downward: a camera is turned by less than 35° from one of four directions."""
+
+_DIRECTIONS = (((0.0, 1.0), 2.0), ((0.0, -1.0), 1.0), ((1.0, 0.0), 1.0), ((-1.0, 0.0), 1.0))
+"""Where down may be in a picture (x, y), and how much that is favoured: films are seldom turned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +79,7 @@ class Arc:
     """One flight.
 
     Attributes:
-        frames: numbers of the pictures it was seen in, increasing, shape (N,).
+        frames: numbers of the N pictures it was seen in, increasing, shape (N,).
         chosen: which candidate of each it is, shape (N,).
         gravity_px: acceleration [px/s²], shape (2,).
     """
@@ -59,13 +99,90 @@ def longest_arc(table: Candidates, least_frames: int = LEAST_FRAMES) -> Arc | No
         table: what moves in each picture.
         least_frames: in how many pictures it must be seen.
     """
-    seeds, bends = accelerated_triples(table)
+    if not table.areas_px.size:
+        return None
+    seeds, bends = _accelerated_triples(table)
     found = [
-        (_longest_towards(table, seeds, bends, np.array(way), least_frames), more)
-        for way, more in _WAYS
+        (_longest_towards(table, seeds, bends, np.array(down), least_frames), factor)
+        for down, factor in _DIRECTIONS
     ]
-    scored = [(more * _score(table, arc), arc) for arc, more in found if arc is not None]
-    return max(scored, key=lambda one: one[0])[1] if scored else None
+    scored = [(factor * _score(table, arc), arc) for arc, factor in found if arc is not None]
+    return max(scored, key=lambda pair: pair[0])[1] if scored else None
+
+
+def _accelerated_triples(table: Candidates) -> tuple[Index, Array]:
+    """Triples of alike candidates on a parabola that others lie on, too, those with most first.
+
+    Returns:
+        Rows of 3 frames and 3 candidates, shape (S, 6); and how far each bends [px], shape (S, 2).
+    """
+    period = float(np.median(np.diff(table.seconds)))
+    strides = sorted({*_STRIDES, *(max(1, round(stride / period)) for stride in _STRIDES_S)})
+    seeds, bends, witnesses = [], [], []
+    for stride in strides:
+        firsts = range(len(table.seconds) - 2 * stride)
+        rows = [_alike(table, first + stride * np.arange(3)) for first in firsts]
+        triples = np.concatenate([np.empty((0, 6), np.intp), *rows])
+        early, middle, late = (table.seconds[triples[:, row]] for row in range(3))
+        a, b, c = (table.places_px[triples[:, row], triples[:, row + 3]] for row in range(3))
+        before = (b - a) / (middle - early)[:, None]
+        after = (c - b) / (late - middle)[:, None]
+        bend = (after - before) * (late - early)[:, None] / 2  # over the triple [px]
+        travel = np.linalg.norm(c - a, axis=1)
+        moving = (np.abs(bend).max(axis=1) > _LEAST_BEND_PX) & (travel > _LEAST_TRAVEL_PX)
+        triples, bend = triples[moving], bend[moving]
+        seen = sum(
+            (_witnessed(table, triples, step * stride) for step in (-2, -1, 3, 4)),
+            np.zeros(len(triples), int),
+        )
+        kept = seen >= _LEAST_WITNESSES
+        seeds.append(triples[kept])
+        bends.append(bend[kept])
+        witnesses.append(seen[kept])
+    order = np.argsort(-np.concatenate(witnesses), kind="stable")
+    return np.concatenate(seeds)[order], np.concatenate(bends)[order]
+
+
+def _alike(table: Candidates, frames: Index) -> Index:
+    """Every candidate of three pictures with every one that looks like it, shape (K, 6)."""
+    areas, colours = table.areas_px[frames], table.colours[frames]
+    seen = [np.flatnonzero(np.isfinite(row)) for row in areas]
+    same = []
+    for at in (0, 1):
+        here, there = seen[at], seen[at + 1]
+        ratio = np.abs(np.log(areas[at][here][:, None] / areas[at + 1][there]))
+        apart = np.linalg.norm(colours[at][here][:, None] - colours[at + 1][there], axis=2)
+        same.append((ratio < np.log(_AREA_RATIO)) & (apart < _COLOUR_APART))
+    triples = np.nonzero(same[0][:, :, None] & same[1][None])
+    chosen = np.stack([row[picks] for row, picks in zip(seen, triples, strict=True)], axis=1)
+    return np.hstack([np.broadcast_to(frames, chosen.shape), chosen])
+
+
+def _witnessed(table: Candidates, triples: Index, step: int) -> Index:
+    """1 where one that looks alike lies on a triple's parabola `step` pictures after its first."""
+    frames = triples[:, 0] + step
+    there = np.clip(frames, 0, len(table.seconds) - 1)
+    times = [table.seconds[triples[:, row]] for row in range(3)]
+    positions = [table.places_px[triples[:, row], triples[:, row + 3]] for row in range(3)]
+    when = table.seconds[there]
+    expected = np.zeros((len(triples), 2))
+    for row in range(3):  # Lagrange's parabola
+        basis = np.ones(len(triples))
+        for other in {0, 1, 2} - {row}:
+            basis *= (when - times[other]) / (times[row] - times[other])
+        expected += basis[:, None] * positions[row]
+    area = table.areas_px[triples[:, 1], triples[:, 4]]
+    colour = table.colours[triples[:, 1], triples[:, 4]]
+    off = np.linalg.norm(table.places_px[there] - expected[:, None], axis=2)
+    near = off < 2 * np.asarray(_tolerance_px(area))[:, None]  # NaN is not
+    near &= np.linalg.norm(table.colours[there] - colour[:, None], axis=2) < _COLOUR_APART
+    near &= np.abs(np.log(table.areas_px[there] / area[:, None])) < np.log(2 * _AREA_RATIO)
+    return (near.any(axis=1) & (frames == there)).astype(np.intp)
+
+
+def _tolerance_px(area_px: Array | float) -> Array | float:
+    """How far from a parabola a candidate of that size may be: a third of its radius, and noise."""
+    return 1.0 + 0.35 * np.sqrt(np.asarray(area_px) / np.pi)
 
 
 def _longest_towards(
@@ -73,7 +190,7 @@ def _longest_towards(
 ) -> Arc | None:
     towards = bends @ down
     sideways = np.abs(bends @ np.array([down[1], -down[0]]))
-    seeds = seeds[(towards > LEAST_BEND_PX) & (towards > sideways)]
+    seeds = seeds[(towards > _LEAST_BEND_PX) & (towards > sideways)]
     tried: dict[bytes, tuple[float, int]] = {}
     for index, seed in enumerate(seeds[:_MOST_SEEDS]):
         arc = _grow(table, seed, 1)
@@ -88,30 +205,31 @@ def _longest_towards(
 
 
 def _grow(table: Candidates, seed: Index, rounds: int) -> Arc | None:
-    """Extend a triple to all pictures around it that lie on its parabola."""
+    """Extend a triple to the pictures around it that lie on its parabola, refitted each round."""
     frames, chosen = seed[:3], seed[3:]
     area = float(np.median(table.areas_px[frames, chosen]))
     colour = np.median(table.colours[frames, chosen], axis=0)
-    tolerance = tolerance_px(area)
+    tolerance = _tolerance_px(area)
     curve = np.zeros((3, 2))
     for _ in range(rounds):
         middle = table.seconds[frames].mean()
         clock = table.seconds[frames] - middle
         curve = np.polyfit(clock, table.places_px[frames, chosen], 2)
-        reach = 1.2 * float(np.ptp(clock)) if len(frames) > 3 else 2.5 * float(np.ptp(clock))
+        # A triple may be a short part of a flight; a longer arc about doubles in a round.
+        reach = (1.2 if len(frames) > _LEAST_POINTS else 2.5) * float(np.ptp(clock))
         low, high = np.searchsorted(table.seconds, [middle - reach, middle + reach])
         window = np.arange(low, high)
         times = (table.seconds[window] - middle)[:, None]
         expected = curve[0] * times**2 + curve[1] * times + curve[2]
         off = np.linalg.norm(table.places_px[window] - expected[:, None], axis=2)
-        alike = np.linalg.norm(table.colours[window] - colour, axis=2) < COLOUR_APART
-        alike &= np.abs(np.log(table.areas_px[window] / area)) < np.log(2 * AREA_RATIO)
+        alike = np.linalg.norm(table.colours[window] - colour, axis=2) < _COLOUR_APART
+        alike &= np.abs(np.log(table.areas_px[window] / area)) < np.log(2 * _AREA_RATIO)
         off = np.where(alike & np.isfinite(off), off, np.inf)
         nearest = off.argmin(axis=1)
         hit = off[np.arange(len(window)), nearest] < tolerance
-        begin, end = _run(hit, int(np.searchsorted(window, frames[len(frames) // 2])))
+        begin, end = _stretch(hit, int(np.searchsorted(window, frames[len(frames) // 2])))
         kept = np.arange(begin, end)[hit[begin:end]]
-        if len(kept) < 3:
+        if len(kept) < _LEAST_POINTS:
             return None
         frames, chosen = window[kept], nearest[kept]
     return Arc(frames, chosen, 2 * curve[0])
@@ -123,14 +241,14 @@ def _score(table: Candidates, arc: Arc) -> float:
     What is carried goes far without falling. A fall from rest goes four times as far as it sags
     below the straight line between its ends. Loose ends of a hand lie about a parabola, not on it.
     """
-    places = table.places_px[arc.frames, arc.chosen]
+    positions = table.places_px[arc.frames, arc.chosen]
     area = float(np.median(table.areas_px[arc.frames, arc.chosen]))
-    travel = float(np.linalg.norm(np.ptp(places, axis=0)))
+    travel = float(np.linalg.norm(np.ptp(positions, axis=0)))
     clock = table.seconds[arc.frames]
     sag = float(np.linalg.norm(arc.gravity_px)) * float(np.ptp(clock)) ** 2 / 8
-    curve = np.polyfit(clock - clock.mean(), places, 2)
+    curve = np.polyfit(clock - clock.mean(), positions, 2)
     when = (clock - clock.mean())[:, None]
-    off = places - (curve[0] * when**2 + curve[1] * when + curve[2])
+    off = positions - (curve[0] * when**2 + curve[1] * when + curve[2])
     loose = np.sqrt((off**2).sum(axis=1).mean()) / (_LOOSE_PX + _LOOSE * np.sqrt(area / np.pi))
     return (
         min(travel, _FALLEN * sag)
@@ -140,27 +258,30 @@ def _score(table: Candidates, arc: Arc) -> float:
     )
 
 
-def _run(hit: NDArray[np.bool_], at: int) -> tuple[int, int]:
-    """The stretch around `at` without three misses in a row."""
+def _stretch(hit: NDArray[np.bool_], at: int) -> tuple[int, int]:
+    """The stretch around `at` without `_MOST_MISSES` in a row."""
     begin, misses = at, 0
-    while begin > 0 and misses < 3:
+    while begin > 0 and misses < _MOST_MISSES:
         begin -= 1
         misses = 0 if hit[begin] else misses + 1
     end, misses = at, 0
-    while end < len(hit) and misses < 3:
+    while end < len(hit) and misses < _MOST_MISSES:
         misses = 0 if hit[end] else misses + 1
         end += 1
     return begin, end
 
 
 def _is_flight(table: Candidates, arc: Arc, down: Array, least_frames: int) -> bool:
+    """Whether it falls: no faster than a ball of its size, far enough, and nearly downward."""
     if len(arc.frames) < least_frames:
         return False
     clock = table.seconds[arc.frames]
     area = float(np.median(table.areas_px[arc.frames, arc.chosen]))
     radius = float(np.sqrt(area / np.pi))
-    if np.linalg.norm(arc.gravity_px) > _SMALLEST_BALL * (radius + 2):
+    if np.linalg.norm(arc.gravity_px) > _MOST_RADII_S2 * (radius + 2):
         return False
     sag = float(arc.gravity_px @ down) * float(np.ptp(clock)) ** 2 / 8
     sideways = abs(float(arc.gravity_px @ np.array([down[1], -down[0]])))
-    return sag > 2 + 0.3 * radius and sideways < 0.7 * float(arc.gravity_px @ down)
+    return sag > _LEAST_SAG_PX + _LEAST_SAG * radius and (
+        sideways < _MOST_SIDEWAYS * float(arc.gravity_px @ down)
+    )

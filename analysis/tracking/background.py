@@ -8,14 +8,32 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tunenet_logs.arrays import Picture
+from tunenet_logs.arrays import Array, Picture
 
-Array = NDArray[np.float32]
+FloatPicture = NDArray[np.float32]
+"""Pixels that have been computed with: (height, width, 3), or (height, width)."""
 
 _LEAST_DIFFERENCE = 14
+"""Of 255: compression changes a still pixel by less, however quiet its samples are."""
+
 _NOISE_FACTOR = 5.0
-_GRID = 7
-_STRIP = 32
+"""Standard deviations: of a million pixels, one differs by so much by noise."""
+
+_SD_OF_MAD = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
+
+_GRID_PX = 7
+"""Every seventh pixel each way says how bright a picture is, at a fiftieth of the time."""
+
+_DARK, _BRIGHT = 20, 235
+"""Of 255: outside, a pixel is clipped or mostly noise, and does not follow the light."""
+
+_LEAST_LIT = 100
+"""Pixels between the two that make a median; with fewer, the light is taken for constant."""
+
+_STRIP_ROWS = 32
+"""Of all samples at once: the whole stack would take much memory."""
+
 _SMOOTHER = 2.0
 """By about as much is noise less in a smooth picture."""
 
@@ -39,21 +57,25 @@ class Background:
     later: Picture | None = None
 
     def difference(self, picture: Picture) -> Picture:
-        """Largest difference of the smooth colours, but for the light's changes, shape (H, W)."""
+        """Largest difference of the three smooth colours, shape (H, W), the light's changes undone.
+
+        Args:
+            picture: RGB, shape (H, W, 3).
+        """
         import cv2
 
         same = np.asarray(cv2.convertScaleAbs(_smooth(picture), alpha=self.gain(picture)), np.uint8)
-        off = _strongest(_apart(same, self.smooth))
+        off = _largest_difference(same, self.smooth)
         if self.later is None:
             return off
-        return np.asarray(cv2.min(off, _strongest(_apart(same, self.later))), np.uint8)
+        return np.asarray(cv2.min(off, _largest_difference(same, self.later)), np.uint8)
 
     def gain(self, picture: Picture) -> float:
         """How much brighter the still picture is, by most of its pixels."""
-        mine = self.picture[::_GRID, ::_GRID].astype(np.float32)
-        theirs = picture[::_GRID, ::_GRID].astype(np.float32)
-        lit = (theirs > 20) & (theirs < 235) & (mine > 20) & (mine < 235)
-        return float(np.median(mine[lit] / theirs[lit])) if lit.sum() > 100 else 1.0
+        mine = self.picture[::_GRID_PX, ::_GRID_PX].astype(np.float32)
+        theirs = picture[::_GRID_PX, ::_GRID_PX].astype(np.float32)
+        lit = (theirs > _DARK) & (theirs < _BRIGHT) & (mine > _DARK) & (mine < _BRIGHT)
+        return float(np.median(mine[lit] / theirs[lit])) if lit.sum() > _LEAST_LIT else 1.0
 
 
 def still_background(samples: Sequence[Picture]) -> Background:
@@ -62,8 +84,7 @@ def still_background(samples: Sequence[Picture]) -> Background:
     Args:
         samples: uint8, shape (H, W, 3) each.
     """
-    picture, spread = _median_and_spread(samples)
-    return Background(picture, _smooth(picture), _threshold(spread))
+    return _background(*_median_and_spread(samples))
 
 
 def halved_background(samples: Sequence[Picture]) -> Background:
@@ -83,15 +104,16 @@ def halved_background(samples: Sequence[Picture]) -> Background:
     return replace(whole, smooth=first, later=second)
 
 
-def _median_and_spread(samples: Sequence[Picture]) -> tuple[Picture, Array]:
+def _median_and_spread(samples: Sequence[Picture]) -> tuple[Picture, FloatPicture]:
+    """Of each pixel: its median, and the median absolute deviation of its smooth colours."""
     median = np.empty(samples[0].shape, np.uint8)
     spread = np.empty(median.shape[:2], np.float32)
-    for top in range(0, len(median), _STRIP):  # the whole stack at once would take much memory
-        strip = slice(top, top + _STRIP)
+    for top in range(0, len(median), _STRIP_ROWS):
+        strip = slice(top, top + _STRIP_ROWS)
         values = [sample[strip] for sample in samples]
         median[strip] = middle = middle_of(values)
         still = _smooth(middle)
-        spread[strip] = middle_of([_strongest(_apart(_smooth(one), still)) for one in values])
+        spread[strip] = middle_of([_largest_difference(_smooth(part), still) for part in values])
     return median, spread
 
 
@@ -120,71 +142,65 @@ def middle_of(stack: Sequence[Picture]) -> Picture:
 
 
 def without_ball(
-    samples: Sequence[Picture], places_px: Sequence[NDArray[np.float64]], radius_px: float
+    samples: Sequence[Picture], maybe_px: Sequence[Array], radius_px: float
 ) -> Background:
     """The background with the ball left out of each sample: it may rest in one place for long.
 
     Args:
         samples: uint8, shape (H, W, 3) each.
-        places_px: where the ball may be in each, shape (K, 2); NaN for nowhere.
+        maybe_px: where the ball may be in each, shape (K, 2); NaN for nowhere.
         radius_px: of what to leave out.
     """
     picture, spread = _median_and_spread(samples)
     height, width = picture.shape[:2]
-    known = np.concatenate([one[np.isfinite(one[:, 0])] for one in places_px])
+    known = np.concatenate([where[np.isfinite(where[:, 0])] for where in maybe_px])
     if not len(known):
-        return Background(picture, _smooth(picture), _threshold(spread))
+        return _background(picture, spread)
     left, top = np.clip(np.floor(known.min(axis=0) - radius_px).astype(int), 0, [width, height])
     right, bottom = np.clip(
         np.ceil(known.max(axis=0) + radius_px).astype(int) + 1, 0, [width, height]
     )
     rows, columns = np.mgrid[top:bottom, left:right]
     hidden = np.zeros((len(samples), *rows.shape), dtype=bool)
-    for at, places in enumerate(places_px):
-        for x, y in places[np.isfinite(places[:, 0])]:
+    for at, where in enumerate(maybe_px):
+        for x, y in where[np.isfinite(where[:, 0])]:
             hidden[at] |= (columns - x) ** 2 + (rows - y) ** 2 < radius_px**2
     often = hidden.sum(axis=0)
     touched = (often > 0) & (often < len(samples))
     if touched.any():
-        where = rows[touched], columns[touched]
-        values = np.stack([sample[where] for sample in samples]).astype(np.float32)
+        pixels = rows[touched], columns[touched]
+        values = np.stack([sample[pixels] for sample in samples]).astype(np.float32)
         values[hidden[:, touched]] = np.inf  # sorted to the end, and not counted
         values.sort(axis=0)
-        middle = np.take_along_axis(
-            values, ((len(samples) - often[touched] - 1) // 2)[None, :, None], 0
-        )[0]
-        picture[where] = middle.astype(np.uint8)
+        median_row = (len(samples) - often[touched] - 1) // 2
+        middle = np.take_along_axis(values, median_row[None, :, None], 0)[0]
+        picture[pixels] = middle.astype(np.uint8)
         off = np.abs(values - middle).max(axis=2) / _SMOOTHER
         off.sort(axis=0)
-        spread[where] = np.take_along_axis(
-            off, ((len(samples) - often[touched] - 1) // 2)[None], 0
-        )[0]
-    return Background(picture, _smooth(picture), _threshold(spread))
+        spread[pixels] = np.take_along_axis(off, median_row[None], 0)[0]
+    return _background(picture, spread)
 
 
 def _smooth(picture: Picture) -> Picture:
+    """Each pixel the mean of three by three."""
     import cv2
 
     return np.asarray(cv2.blur(picture, (3, 3)), np.uint8)
 
 
-def _apart(one: Picture, other: Picture) -> Picture:
+def _largest_difference(picture: Picture, still: Picture) -> Picture:
+    """Of the three channels, shape (H, W); NumPy takes ten times as long for it."""
     import cv2
 
-    return np.asarray(cv2.absdiff(one, other), np.uint8)
-
-
-def _strongest(colours: Picture) -> Picture:
-    """The largest of the three channels, shape (H, W); NumPy takes ten times as long for it."""
-    import cv2
-
-    red, green, blue = cv2.split(colours)
+    red, green, blue = cv2.split(np.asarray(cv2.absdiff(picture, still), np.uint8))
     return np.asarray(cv2.max(cv2.max(red, green), blue), np.uint8)
 
 
-def _threshold(spread: Array) -> Picture:
+def _background(picture: Picture, spread: FloatPicture) -> Background:
+    """With thresholds from the spread of each pixel and its neighbours: the camera may shake."""
     import cv2
 
     widened = np.asarray(cv2.dilate(spread, np.ones((3, 3), np.uint8)))
-    wanted = np.maximum(_NOISE_FACTOR * 1.4826 * widened, _LEAST_DIFFERENCE)
-    return np.minimum(wanted, 255).astype(np.uint8)
+    wanted = np.maximum(_NOISE_FACTOR * _SD_OF_MAD * widened, _LEAST_DIFFERENCE)
+    threshold = np.minimum(wanted, 255).astype(np.uint8)
+    return Background(picture, _smooth(picture), threshold)

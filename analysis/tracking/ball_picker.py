@@ -19,7 +19,9 @@ Mark = tuple[float, float, float]
 """Where the ball is: x, y [px] as `Hints.ball_at` counts them, and seconds since the topic's first
 picture."""
 
-_LOOK_SECONDS = 0.2
+_POLL_SECONDS = 0.2
+"""Between two looks at whether the page was closed: nobody notices that it is so late."""
+
 _AWAY_SECONDS = 3.0
 """A page that was left and is not back so soon is closed; one that is loaded again is back."""
 
@@ -80,7 +82,7 @@ class Marking:
         """
         while True:
             try:
-                return self._decided.get(timeout=_LOOK_SECONDS)
+                return self._decided.get(timeout=_POLL_SECONDS)
             except queue.Empty:
                 if self._is_closed():
                     raise KeyboardInterrupt from None
@@ -99,9 +101,9 @@ class Marking:
             return as_json(self._contents())
         if path == "/here":
             return Answer()
-        shot = self._number(path.removeprefix("/picture/"))
-        if path.startswith("/picture/") and shot is not None:
-            return Answer(200, "image/jpeg", self._album.shots[shot].data)
+        number = self._number(path.removeprefix("/picture/"))
+        if path.startswith("/picture/") and number is not None:
+            return Answer(200, "image/jpeg", self._album.thumbnails[number].data)
         return None
 
     def post(self, path: str, body: Mapping[str, Any]) -> Answer | None:
@@ -120,22 +122,24 @@ class Marking:
         return {
             "topic": album.topic,
             "size_px": album.size_px,
-            "seconds": [round(shot.seconds, 6) for shot in album.shots],
+            "seconds": [round(thumbnail.seconds, 6) for thumbnail in album.thumbnails],
         }
 
     def _number(self, text: object) -> int | None:
         """Which picture a text names; None for none."""
         if isinstance(text, str) and text.isascii() and text.isdecimal() and len(text) < 10:
-            return int(text) if int(text) < len(self._album.shots) else None
+            return int(text) if int(text) < len(self._album.thumbnails) else None
         return None
 
     def _mark(self, body: Mapping[str, Any]) -> Mark | None:
-        """What was clicked on, if it is a place in one of the pictures."""
-        place, shot = place_in(body), self._number(str(body.get("picture")))
+        """What was clicked on, if it is a position in one of the pictures."""
+        place, number = place_in(body), self._number(str(body.get("picture")))
         width, height = self._album.size_px
-        if place is None or shot is None or not (0 <= place[0] < width and 0 <= place[1] < height):
+        if place is None or number is None:
             return None
-        return (*place, self._album.shots[shot].seconds)
+        if not (0 <= place[0] < width and 0 <= place[1] < height):
+            return None
+        return (*place, self._album.thumbnails[number].seconds)
 
     def _note_leaving(self, at: float | None) -> None:
         with self._lock:

@@ -1,4 +1,4 @@
-"""What may be the ball in all pictures, as one table."""
+"""What may be the ball: what stands out of the background in one picture, and in all of them."""
 
 from __future__ import annotations
 
@@ -8,19 +8,71 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.tracking.blobs import Blobs
-from tunenet_logs.arrays import Array
+from analysis.tracking.background import Background
+from tunenet_logs.arrays import Array, Picture
+
+_MOST = 12
+"""Candidates kept of each picture: people and shadows make many, and many more triples."""
+
+_LEAST_AREA_PX = 5
+_LEAST_OUTLINE_PX = 4
+"""Pixels: what has a smaller area, or a shorter outline, is noise."""
+
+_MOST_INSPECTED = 40
+"""Outlines of a picture whose pixels are looked at, by the size of their boxes: bounds the time."""
+
+_INDISTINCT = 0.06
+"""Squared sine of the angle between two differences of colour that cannot be told apart."""
+
+_SHADOW_FRACTION = 0.3
+"""Of the difference between a dark ball and what is behind it: a shadow may make as much of it."""
+
+_BIG_FRACTION = 0.05
+"""Of the picture's area: no ball that is filmed with its whole drop takes more."""
+
+_SOLID_FRACTION = 0.25
+"""Of a pixel that must be ball to count: less may be noise."""
+
+_OWN_COLOUR = 300.0
+"""Squared difference of two colours (0 to 255, summed over RGB): background that is nearer to the
+ball's colour, about 10 in each channel, cannot say how much of a pixel is ball."""
+
+_CORE = 0.6
+"""Of the largest difference: pixels above it are wholly ball, and give its colour."""
+
+
+@dataclass(frozen=True, eq=False)
+class Blobs:
+    """The N candidates in one picture, the strongest first.
+
+    Attributes:
+        places_px: x right, y down; the first pixel's centre is 0, 0; shape (N, 2).
+        areas_px: [px²], shape (N,).
+        colours: mean RGB, 0 to 255, shape (N, 3).
+        whole: whether it ends inside the picture, shape (N,).
+        misfits: what speaks against each being the ball, where its appearance is known (see
+            `Placing`), else 0; shape (N,).
+    """
+
+    places_px: Array
+    areas_px: Array
+    colours: Array
+    whole: NDArray[np.bool_]
+    misfits: Array
+
+    def __len__(self) -> int:
+        return len(self.areas_px)
 
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """The blobs of all pictures as one table, NaN where a picture has fewer.
+    """The blobs of T pictures as one table of M columns, NaN where a picture has fewer.
 
     Attributes:
-        seconds: shape (T,).
-        places_px: shape (T, M, 2).
-        areas_px: shape (T, M).
-        colours: shape (T, M, 3).
+        seconds: since the first picture, shape (T,).
+        places_px: see `Blobs`; shape (T, M, 2).
+        areas_px: [px²], shape (T, M).
+        colours: mean RGB, shape (T, M, 3).
         whole: shape (T, M).
         misfits: shape (T, M).
     """
@@ -32,14 +84,31 @@ class Candidates:
     whole: NDArray[np.bool_]
     misfits: Array
 
+    @classmethod
+    def of(cls, seconds: Array, blobs: Sequence[Blobs]) -> Candidates:
+        """Put the blobs of T pictures, taken at `seconds` (shape (T,)), into one table."""
+        most = max((len(found) for found in blobs), default=0)
+        positions = np.full((len(blobs), most, 2), np.nan)
+        areas = np.full((len(blobs), most), np.nan)
+        colours = np.full((len(blobs), most, 3), np.nan)
+        whole = np.zeros((len(blobs), most), dtype=bool)
+        misfits = np.zeros((len(blobs), most))
+        for row, found in enumerate(blobs):
+            positions[row, : len(found)] = found.places_px
+            areas[row, : len(found)] = found.areas_px
+            colours[row, : len(found)] = found.colours
+            whole[row, : len(found)] = found.whole
+            misfits[row, : len(found)] = found.misfits
+        return cls(seconds, positions, areas, colours, whole, misfits)
+
     def inside(self) -> Candidates:
         """Without those that the picture's edge cuts: arms and people, not balls."""
-        places = np.where(self.whole[:, :, None], self.places_px, np.nan)
+        positions = np.where(self.whole[:, :, None], self.places_px, np.nan)
         areas = np.where(self.whole, self.areas_px, np.nan)
-        return replace(self, places_px=places, areas_px=areas)
+        return replace(self, places_px=positions, areas_px=areas)
 
     def some(self, frames: NDArray[np.intp]) -> Candidates:
-        """Those of some pictures."""
+        """Those of the pictures with these numbers."""
         return Candidates(
             self.seconds[frames],
             self.places_px[frames],
@@ -50,18 +119,135 @@ class Candidates:
         )
 
 
-def tabulate(seconds: Array, blobs: Sequence[Blobs]) -> Candidates:
-    """Put the blobs of T pictures into one table."""
-    most = max((len(one) for one in blobs), default=0)
-    places = np.full((len(blobs), most, 2), np.nan)
-    areas = np.full((len(blobs), most), np.nan)
-    colours = np.full((len(blobs), most, 3), np.nan)
-    whole = np.zeros((len(blobs), most), dtype=bool)
-    misfits = np.zeros((len(blobs), most))
-    for index, one in enumerate(blobs):
-        places[index, : len(one)] = one.places_px
-        areas[index, : len(one)] = one.areas_px
-        colours[index, : len(one)] = one.colours
-        whole[index, : len(one)] = one.whole
-        misfits[index, : len(one)] = one.misfits
-    return Candidates(seconds, places, areas, colours, whole, misfits)
+@dataclass(frozen=True, eq=False)
+class ColorAndSize:
+    """The ball's mean colour, and its size.
+
+    Attributes:
+        colour: RGB, 0 to 255, shape (3,).
+        area_px: of its disc in the picture [px²].
+    """
+
+    colour: Array
+    area_px: float
+
+    @property
+    def radius_px(self) -> float:
+        """Of a disc of that area."""
+        return float(np.sqrt(self.area_px / np.pi))
+
+
+def moving_blobs(picture: Picture, background: Background, allowed: Picture | None) -> Blobs:
+    """Candidates by their difference from the background alone.
+
+    Args:
+        picture: RGB, shape (H, W, 3).
+        background: of the same size.
+        allowed: 1 where the ball may be, shape (H, W); None for everywhere.
+    """
+    difference = background.difference(picture)
+    mask = difference > background.threshold
+    if allowed is not None:
+        mask &= allowed.astype(bool)
+    return _components(picture, mask.astype(np.uint8), difference)
+
+
+def coloured_blobs(
+    picture: Picture, background: Background, ball: ColorAndSize, allowed: Picture | None
+) -> Blobs:
+    """Candidates by how much of each pixel is ball; see `moving_blobs`.
+
+    A pixel is part background B, part ball C, part shadow: I - B = a (C - B) - b B, a, b >= 0.
+    """
+    difference = background.difference(picture)
+    mask = difference > background.threshold // 2 + 3  # the colour decides: noise may pass
+    if allowed is not None:
+        mask &= allowed.astype(bool)
+    still = background.picture[mask].astype(np.float32)
+    off = picture[mask].astype(np.float32) - still
+    fraction = np.zeros(mask.shape, np.float32)
+    fraction[mask] = _ball_fraction(off, ball.colour.astype(np.float32) - still, -still)
+    solid = (fraction > _SOLID_FRACTION).astype(np.uint8)
+    return _components(picture, solid, fraction)
+
+
+def hsv_blobs(picture: Picture, low: Array, high: Array, allowed: Picture | None) -> Blobs:
+    """Candidates by a range of hue (0 to 179, may wrap), saturation and value (0 to 255).
+
+    Args:
+        picture: RGB, shape (H, W, 3).
+        low: ends of the three ranges, shape (3,).
+        high: likewise.
+        allowed: see `moving_blobs`.
+    """
+    import cv2
+
+    hsv = cv2.cvtColor(picture, cv2.COLOR_RGB2HSV)
+    if low[0] <= high[0]:
+        inside = cv2.inRange(hsv, low, high)
+    else:  # red lies on both sides of hue 0
+        inside = cv2.inRange(hsv, low, np.array([179, *high[1:]]))
+        inside = cv2.bitwise_or(inside, cv2.inRange(hsv, np.array([0, *low[1:]]), high))
+    mask = np.asarray(inside > 0, np.uint8)
+    if allowed is not None:
+        mask &= allowed
+    return _components(picture, mask, mask.astype(np.float32))
+
+
+def _ball_fraction(
+    off: NDArray[np.float32], towards: NDArray[np.float32], shade: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Non-negative least squares of two columns, pixel by pixel, clipped to [0, 1]."""
+    aa = (towards**2).sum(axis=1) + 1.0
+    bb = (shade**2).sum(axis=1) + 1.0
+    ab = (towards * shade).sum(axis=1)
+    ya, yb = (off * towards).sum(axis=1), (off * shade).sum(axis=1)
+    determinant = np.maximum(aa * bb - ab**2, 1e-3 * aa * bb)
+    fraction = (ya * bb - yb * ab) / determinant
+    shadow = (yb * aa - ya * ab) / determinant
+    fraction = np.where(shadow < 0, ya / aa, fraction)
+    # A dark ball differs from what is behind it as a shadow does, only by more.
+    indistinct = determinant < _INDISTINCT * aa * bb
+    beyond_shadow = (ya / aa - _SHADOW_FRACTION) / (1 - _SHADOW_FRACTION)
+    fraction = np.where(indistinct, beyond_shadow, fraction)
+    fraction = np.where(aa < _OWN_COLOUR, 0.0, fraction)
+    return np.clip(fraction, 0.0, 1.0)
+
+
+def _components(picture: Picture, mask: Picture, weight: NDArray[np.float32] | Picture) -> Blobs:
+    """Connected parts of a mask, filled, each with its centre of mass by `weight`."""
+    import cv2
+
+    closed = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+    outlines, _ = cv2.findContours(closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    boxes = [
+        (cv2.boundingRect(outline), outline)
+        for outline in outlines
+        if len(outline) >= _LEAST_OUTLINE_PX
+    ]
+    boxes.sort(key=lambda boxed: boxed[0][2] * boxed[0][3], reverse=True)
+    height, width = mask.shape
+    rows: list[tuple[float, ...]] = []
+    for (left, top, wide, tall), outline in boxes[:_MOST_INSPECTED]:
+        box = slice(top, top + tall), slice(left, left + wide)
+        filled = np.zeros((tall, wide), np.uint8)
+        cv2.drawContours(filled, [outline], 0, 1, -1, offset=(-left, -top))
+        part = np.asarray(closed)[box].astype(bool) & filled.astype(bool)
+        if not _LEAST_AREA_PX <= part.sum() <= _BIG_FRACTION * mask.size:
+            continue
+        mass = np.where(part, weight[box], 0).astype(np.float32)
+        total = float(mass.sum())
+        if total <= 0:
+            continue
+        x = float(mass.sum(axis=0) @ np.arange(left, left + wide)) / total
+        y = float(mass.sum(axis=1) @ np.arange(top, top + tall)) / total
+        core = mass > _CORE * mass.max()
+        colour = picture[box][core].mean(axis=0)
+        whole = left > 0 and top > 0 and left + wide < width and top + tall < height
+        # A difference in grey levels weighs a pixel by its largest; a fraction is an area as it is.
+        soft = total / float(mass.max()) if weight.dtype == np.uint8 else total
+        rows.append((total, x, y, max(soft, 1.0), *colour, float(whole)))
+    rows.sort(reverse=True)
+    table = np.array(rows[:_MOST], np.float64).reshape(-1, 8)
+    none = np.zeros(len(table))
+    return Blobs(table[:, 1:3], table[:, 3], table[:, 4:7], table[:, 7] > 0, none)

@@ -8,44 +8,86 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.tracking.arcs import Arc
-from analysis.tracking.blobs import BallColor
-from analysis.tracking.candidates import Candidates
+from analysis.tracking.candidates import Candidates, ColorAndSize
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import NotFoundError
 
 LEAST_SEEN = 8
+"""Pictures with the ball: fewer are no drop and no bounce."""
 
-_LOST_S = 0.4
-_LOST_FRAMES = 12
+_LOST_S, _LOST_FRAMES = 0.4, 12
+"""Without the ball, in seconds or in pictures, whichever is longer: the way is lost. It covers what
+passes before the ball, and slow films."""
+
 _RECENT = 4
-_MISFIT = 0.35
-_ALIKE_PLACES = 2
+"""Speeds, of which the largest bounds the next: a bounce between two pictures makes the way
+between them short, and the next one long."""
+
+_REACH = 1.3
+"""Of the way at that speed: noise in it, and in the positions."""
+
+_MOST_OFF = 4.0
+"""Squared distance from where it is expected, in ball radii, that counts at most: a bounce is not
+what was expected."""
+
+_MOST_AGAINST = 12.0
+"""Sum of squares, each of about 1 for the ball, above which a candidate is none."""
+
+_COLOUR, _LOG_AREA, _MISFIT = 45.0, 0.6, 0.35
+"""Differences that count 1: in RGB (0 to 255), in the logarithm of the area, and of a `Placing`."""
+
+_ALIKE_POSITIONS = 2
+"""Pictures with the ball within half a radius of one place that are enough: more of the same
+background teach nothing of the ball."""
+
 _MOST_SHOWN = 24
+"""Pictures that the ball's appearance is learnt from: all of them are in memory at once."""
+
+_SLACK_PX = 2.0
+"""Added to distances that a small ball's radius bounds: its position is no better than that."""
+
+_LEAST_NEAR = 3
+"""Pictures of a flight in which the ball is found again: they define a parabola."""
+
+_RESTS_BELOW = (0.0, 2.0, 4.0)
+"""Ball radii below the lowest place where it was followed, in which it may have come to rest."""
 
 
-def same_arc(table: Candidates, arc: Arc, places: Array) -> Arc:
-    """The flight among new candidates."""
-    apart = np.linalg.norm(table.places_px[arc.frames] - places[arc.frames][:, None], axis=2)
+def same_arc(table: Candidates, arc: Arc, positions_px: Array) -> Arc:
+    """The flight among new candidates.
+
+    Args:
+        table: those of T pictures.
+        arc: the flight; its candidates are no longer those of the table.
+        positions_px: where the ball was seen before, shape (T, 2).
+
+    Raises:
+        NotFoundError: they do not follow it.
+    """
+    apart = np.linalg.norm(table.places_px[arc.frames] - positions_px[arc.frames][:, None], axis=2)
     apart = np.where(np.isfinite(apart), apart, np.inf)
     if not apart.size:
         raise NotFoundError("the ball looks like what is behind it (mark it with --hsv)")
     nearest = apart.argmin(axis=1)
     area = float(np.nanmedian(table.areas_px[arc.frames, nearest]))
-    near = apart[np.arange(len(nearest)), nearest] < 2 + np.sqrt(area / np.pi)
-    if near.sum() < 3:
+    near = apart[np.arange(len(nearest)), nearest] < _SLACK_PX + np.sqrt(area / np.pi)
+    if near.sum() < _LEAST_NEAR:
         raise NotFoundError("the ball looks like what is behind it (mark it with --hsv)")
     return Arc(arc.frames[near], nearest[near], arc.gravity_px)
 
 
-def look_of(table: Candidates, arc: Arc) -> BallColor:
-    """Colour and size of what flies."""
+def color_and_size(table: Candidates, arc: Arc) -> ColorAndSize:
+    """Of what flies, the medians over its pictures."""
     colours = table.colours[arc.frames, arc.chosen]
     areas = table.areas_px[arc.frames, arc.chosen]
-    return BallColor(np.median(colours, axis=0), float(np.median(areas)))
+    return ColorAndSize(np.median(colours, axis=0), float(np.median(areas)))
 
 
-def follow(table: Candidates, arc: Arc, look: BallColor) -> tuple[NDArray[np.intp], Array]:
-    """From the middle of the flight on, to both ends of the recording.
+def follow(table: Candidates, arc: Arc, ball: ColorAndSize) -> tuple[NDArray[np.intp], Array]:
+    """Follow the ball from the middle of its flight to both ends of the recording.
+
+    In each picture the candidate is taken that is most like the ball and nearest to where constant
+    acceleration from the last one would have brought it.
 
     Returns:
         The candidate of each picture (-1 for none) and what speaks against it, shapes (T,).
@@ -56,63 +98,94 @@ def follow(table: Candidates, arc: Arc, look: BallColor) -> tuple[NDArray[np.int
     middle = slice(margin, len(arc.frames) - margin)
     core, core_picks = arc.frames[middle], arc.chosen[middle]
     chosen[core] = core_picks
-    cost[core] = _unlike(table, core, core_picks, look)
+    cost[core] = _unlike(table, core, core_picks, ball)
     for step in (1, -1):
         frames, picks = core[::step], core_picks[::step]
-        _follow_on(table, frames, picks, arc.gravity_px, look, step, chosen, cost)
+        _follow_on(table, frames, picks, arc.gravity_px, ball, step, chosen, cost)
     return chosen, cost
 
 
 def flying(
-    arc: Arc, chosen: NDArray[np.intp], places_px: Array, look: BallColor
+    arc: Arc, chosen: NDArray[np.intp], positions_px: Array, ball: ColorAndSize
 ) -> tuple[NDArray[np.intp], int]:
-    """Pictures that show the moving ball well apart, at most a few; and the first without it."""
+    """Pictures that show the moving ball in different places, and the first that does not show it.
+
+    Args:
+        arc: its flight.
+        chosen: its candidate in each picture, -1 for none, shape (T,).
+        positions_px: shape (T, 2).
+        ball: for its radius.
+
+    Returns:
+        Numbers of at most 24 pictures, increasing, shape (N,); and of the one after the flight's
+        first gap.
+    """
     found = chosen >= 0
     first, last = int(arc.frames[0]), int(arc.frames[-1])
     gaps = np.flatnonzero(~found[last:])
     end = last + (int(gaps[0]) if len(gaps) else len(chosen) - last)  # followed without a break
     shown: list[int] = []
     for at in range(first, end):
-        crowd = np.linalg.norm(places_px[shown] - places_px[at], axis=1) if shown else np.empty(0)
-        if found[at] and (crowd < look.radius_px / 2).sum() < _ALIKE_PLACES:
+        apart = positions_px[shown] - positions_px[at] if shown else np.empty((0, 2))
+        crowd = np.linalg.norm(apart, axis=1)
+        if found[at] and (crowd < ball.radius_px / 2).sum() < _ALIKE_POSITIONS:
             shown.append(at)
     some = np.linspace(0, len(shown) - 1, min(_MOST_SHOWN, len(shown))).astype(int)
     return np.array(shown, np.intp)[some], end
 
 
-def still_places(seconds: Array, arc: Arc, places_px: Array, end: int) -> Array:
-    """Where the ball was before its flight was seen, and may lie after it, shape (T, 2).
+def still_positions(seconds: Array, arc: Arc, positions_px: Array, end: int) -> Array:
+    """Where the ball was before its flight was seen, and may lie after it.
 
-    Backwards along the flight's parabola to where it is at rest, and there; later, the lowest place
-    up to `end`, until when it was followed without a break. NaN in flight.
+    Backwards along the flight's parabola to where it is at rest, and there; later, the lowest
+    position before `end`.
+
+    Args:
+        seconds: of the pictures, shape (T,).
+        arc: its flight.
+        positions_px: where it was seen, shape (T, 2).
+        end: number of the first picture without it.
+
+    Returns:
+        [px], shape (T, 2); NaN in flight.
     """
     begin = int(arc.frames[0])
     clock = seconds[arc.frames] - seconds[begin]
-    curve = np.polyfit(clock, places_px[arc.frames], 2)
+    curve = np.polyfit(clock, positions_px[arc.frames], 2)
     down = arc.gravity_px / np.linalg.norm(arc.gravity_px)
     times = seconds - seconds[begin]
     released = -float(curve[1] @ down) / max(2 * float(curve[0] @ down), 1e-9)
     times = np.maximum(times, released)[:, None]
     still = curve[0] * times**2 + curve[1] * times + curve[2]
     still[begin : arc.frames[-1] + 1] = np.nan
-    followed = places_px[begin:end]
+    followed = positions_px[begin:end]
     still[arc.frames[-1] + 1 :] = followed[int(np.argmax(followed @ down))]
     return still
 
 
-def hiding_places(
-    frame: int, arc: Arc, places_px: Array, still_px: Array, look: BallColor
+def possible_positions(
+    frame: int, arc: Arc, positions_px: Array, still_px: Array, ball: ColorAndSize
 ) -> Array:
-    """Where the ball may be in a picture, so that it is not taken for the background, shape (K, 2).
+    """Where the ball may be in a picture, so that it is not taken for the background.
 
     A ball that has come to rest lies in most pictures, so that it does not stand out of their
     median, and was lost before it got there: a little above.
+
+    Args:
+        frame: the picture's number.
+        arc: its flight.
+        positions_px: where it was seen, shape (T, 2).
+        still_px: see `still_positions`, shape (T, 2).
+        ball: for its radius.
+
+    Returns:
+        [px], shape (K, 2).
     """
     if frame <= arc.frames[-1] or not np.isfinite(still_px[frame, 0]):
-        return places_px[frame][None]
+        return positions_px[frame][None]
     down = arc.gravity_px / np.linalg.norm(arc.gravity_px)
-    below = [still_px[frame] + steps * look.radius_px * down for steps in (0.0, 2.0, 4.0)]
-    return np.stack([places_px[frame], *below])
+    below = [still_px[frame] + radii * ball.radius_px * down for radii in _RESTS_BELOW]
+    return np.stack([positions_px[frame], *below])
 
 
 def _follow_on(
@@ -120,45 +193,46 @@ def _follow_on(
     frames: NDArray[np.intp],
     picks: NDArray[np.intp],
     gravity: Array,
-    look: BallColor,
+    ball: ColorAndSize,
     step: int,
     chosen: NDArray[np.intp],
     cost: Array,
 ) -> None:
-    radius = look.radius_px
+    """Go on from the last two of `frames`, one picture at a time, and fill `chosen` and `cost`."""
+    radius = ball.radius_px
     last, before = int(frames[-1]), int(frames[-2])
-    place = table.places_px[last, picks[-1]]
+    position = table.places_px[last, picks[-1]]
     seconds = table.seconds
     span = seconds[last] - seconds[before]
-    velocity = (place - table.places_px[before, picks[-2]]) / span + gravity * span / 2
+    velocity = (position - table.places_px[before, picks[-2]]) / span + gravity * span / 2
     speeds = deque([float(np.linalg.norm(velocity))], maxlen=_RECENT)
     patience = max(_LOST_S, _LOST_FRAMES * float(np.median(np.diff(seconds))))
     frame = last + step
     while 0 <= frame < len(seconds) and abs(seconds[frame] - seconds[last]) < patience:
         dt = seconds[frame] - seconds[last]
-        expected = place + velocity * dt + gravity * dt**2 / 2
-        # A bounce between two pictures makes the way between them short, and the next one long.
+        expected = position + velocity * dt + gravity * dt**2 / 2
         speed = max(speeds) + float(np.linalg.norm(gravity)) * abs(dt)
         off = np.linalg.norm(table.places_px[frame] - expected, axis=1)
-        moved = np.linalg.norm(table.places_px[frame] - place, axis=1)
-        reach = 1.3 * speed * abs(dt) + radius + 2
-        near = np.minimum((off / (radius + 1)) ** 2, 4.0)  # a bounce is not what was expected
-        against = near + _unlike(table, np.full(len(off), frame), np.arange(len(off)), look)
+        moved = np.linalg.norm(table.places_px[frame] - position, axis=1)
+        reach = _REACH * speed * abs(dt) + radius + _SLACK_PX
+        near = np.minimum((off / (radius + 1)) ** 2, _MOST_OFF)
+        against = near + _unlike(table, np.full(len(off), frame), np.arange(len(off)), ball)
         against = np.where(moved < reach, against, np.inf)
         against = np.where(np.isfinite(against), against, np.inf)
         best = int(against.argmin()) if len(against) else -1
-        if best >= 0 and against[best] < 12:
+        if best >= 0 and against[best] < _MOST_AGAINST:
             new = table.places_px[frame, best]
-            velocity = (new - place) / dt + gravity * dt / 2
+            velocity = (new - position) / dt + gravity * dt / 2
             speeds.append(float(np.linalg.norm(velocity)))
-            place, last = new, frame
+            position, last = new, frame
             chosen[frame], cost[frame] = best, against[best]
         frame += step
 
 
 def _unlike(
-    table: Candidates, frames: NDArray[np.intp], picks: NDArray[np.intp], look: BallColor
+    table: Candidates, frames: NDArray[np.intp], picks: NDArray[np.intp], ball: ColorAndSize
 ) -> Array:
-    colour = np.linalg.norm(table.colours[frames, picks] - look.colour, axis=1) / 45
-    size = np.log(table.areas_px[frames, picks] / look.area_px) / 0.6
+    """Squared differences of candidates from the ball in colour, size and misfit, shape (N,)."""
+    colour = np.linalg.norm(table.colours[frames, picks] - ball.colour, axis=1) / _COLOUR
+    size = np.log(table.areas_px[frames, picks] / ball.area_px) / _LOG_AREA
     return colour**2 + size**2 + (table.misfits[frames, picks] / _MISFIT) ** 2

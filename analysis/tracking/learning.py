@@ -5,32 +5,53 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from analysis.tracking.background import Background
-from analysis.tracking.patches import Patch, cut_patch, straightened
-from analysis.tracking.placing import FINE_PX, Appearance
+from analysis.tracking.appearance import FINE_PX, Appearance
+from analysis.tracking.background import Background, FloatPicture
+from analysis.tracking.drawn_ball import Patch, cut_patch, straightened
 from tunenet_logs.arrays import Array, Picture
 
-Fine = NDArray[np.float32]
-
 _LEAST_SAMPLES = 3
+"""Pictures of the ball: the median of fewer is one of them, with what was behind it."""
+
 _ROUNDS = 4
 _SETTLED = 0.01
+"""Of learning how it looks and fitting that: most of them, and a relative change of the radius that
+ends them."""
+
+_FIRST_RADIUS = 0.7
+"""Quantile of the radii of what moved: a part of the ball may look like the background."""
+
+_PATCH = 1.3
+"""Radii of patches over that of the ball: it may be larger than it was thought."""
+
+_TRANSITION_PX = 1.2
+"""From the outline inward: the colour there is half the background's."""
+
 _TELLING = 400.0
-"""Squared difference of two colours that tells how much of a pixel is ball."""
+"""Squared difference of two colours (0 to 255, summed over RGB), 12 in each channel: with less, it
+cannot be said how much of a pixel is ball."""
+
+_RING_PX = 0.5
+"""Half the width of a ring, and the step from one to the next."""
+
+_LEAST_IN_RING = 4
+"""Pixels of a ring that make a median."""
+
+_LEAST_CHANGE, _MOST_CHANGE = 0.75, 1.35
+"""Least and most of the outline's radius over the last one: the patch shows no more."""
 
 
 def learn_appearance(
     samples: Sequence[Picture], background: Background, places_px: Array, areas_px: Array
 ) -> Appearance | None:
-    """The ball's picture, from pictures in which it is about known where it is.
+    """Learn the ball's picture and radius, in turn with its exact positions.
 
     Args:
-        samples: uint8, shape (H, W, 3) each.
+        samples: N pictures, RGB, shape (H, W, 3) each.
         background: without the ball.
         places_px: where the ball is in each, shape (N, 2); NaN where that is not known.
-        areas_px: how large it is there, shape (N,).
+        areas_px: how large it is there [px²], shape (N,).
 
     Returns:
         None where it is seen too seldom.
@@ -38,15 +59,15 @@ def learn_appearance(
     known = np.flatnonzero(np.isfinite(places_px[:, 0]) & np.isfinite(areas_px))
     if len(known) < _LEAST_SAMPLES:
         return None
-    radius = float(np.quantile(np.sqrt(areas_px[known] / np.pi), 0.7))
-    places = {int(at): (float(places_px[at, 0]), float(places_px[at, 1]), 0.0) for at in known}
-    gains = {at: background.gain(samples[at]) for at in places}
+    radius = float(np.quantile(np.sqrt(areas_px[known] / np.pi), _FIRST_RADIUS))
+    positions = {int(at): (float(places_px[at, 0]), float(places_px[at, 1]), 0.0) for at in known}
+    gains = {at: background.gain(samples[at]) for at in positions}
     ball: Appearance | None = None
     for turn in range(_ROUNDS):
         zoom = min(1.0, FINE_PX / radius)
         patches, starts, used = [], [], []
-        for at, (x, y, growth) in places.items():
-            patch = cut_patch(samples[at], background, gains[at], (x, y), 1.3 * radius, zoom)
+        for at, (x, y, growth) in positions.items():
+            patch = cut_patch(samples[at], background, gains[at], (x, y), _PATCH * radius, zoom)
             if patch is not None:
                 patches.append(patch)
                 starts.append(np.array([*patch.here(x, y), growth, 0.0, 0.0, 0.0]))
@@ -57,65 +78,65 @@ def learn_appearance(
         if before is not None and abs(before.radius_px / radius - 1) < _SETTLED:
             return ball
         fitted = [
-            ball.fit(one, start if turn > 1 else ball.nearest(one, start), 0.0)[0]
-            for one, start in zip(patches, starts, strict=True)
+            ball.fit(patch, start if turn > 1 else ball.nearest(patch, start), 0.0)[0]
+            for patch, start in zip(patches, starts, strict=True)
         ]
         middle = float(np.median([values[2] for values in fitted]))
         for values in fitted:
             values[2] -= middle
         radius = _outline(patches, fitted, radius * zoom) * float(np.exp(middle)) / zoom
         for at, patch, values in zip(used, patches, fitted, strict=True):
-            places[at] = (*patch.there(values[0], values[1]), float(values[2]))
+            positions[at] = (*patch.there(values[0], values[1]), float(values[2]))
     return ball
 
 
-def _layers(patches: Sequence[Patch], places: Sequence[Array], radius: float) -> Fine:
-    """The median of what is seen, inside a disc with smooth edges."""
+def _layers(patches: Sequence[Patch], fits: Sequence[Array], radius: float) -> FloatPicture:
+    """The median of what is seen, inside a disc with smooth edges; see `Appearance.layers`."""
     side = 2 * int(np.ceil(radius + 2)) + 1
     seen = np.stack(
-        [straightened(one.seen, at, side) for one, at in zip(patches, places, strict=True)]
+        [straightened(patch.seen, fit, side) for patch, fit in zip(patches, fits, strict=True)]
     )
     colours = np.median(seen, axis=0)
     y, x = np.mgrid[:side, :side] - (side - 1) / 2
     apart = np.hypot(x, y)
-    share = np.clip(radius + 0.5 - apart, 0, 1)[:, :, None]
+    fraction = np.clip(radius + 0.5 - apart, 0, 1)[:, :, None]
     # The colour at the edge is half background's: that of the ring within goes on to the edge.
     ring = np.maximum(apart, 1e-6)
-    inward = np.minimum(1.0, max(radius - 1.2, 0.5) / ring)
+    inward = np.minimum(1.0, max(radius - _TRANSITION_PX, 0.5) / ring)
     rows = np.clip(np.round(y * inward + (side - 1) / 2).astype(int), 0, side - 1)
     columns = np.clip(np.round(x * inward + (side - 1) / 2).astype(int), 0, side - 1)
-    return np.concatenate([colours[rows, columns] * share, share], axis=2).astype(np.float32)
+    return np.concatenate([colours[rows, columns] * fraction, fraction], axis=2).astype(np.float32)
 
 
-def _outline(patches: Sequence[Patch], places: Sequence[Array], radius: float) -> float:
+def _outline(patches: Sequence[Patch], fits: Sequence[Array], radius: float) -> float:
     """The ball's radius in its own pixels: to where as often as not it is what differs."""
     side = 2 * int(np.ceil(1.6 * radius + 3)) + 1
     y, x = np.mgrid[:side, :side] - (side - 1) / 2
     apart = np.hypot(x, y)
     inner = np.median(
         [
-            straightened(one.seen, at, side)[apart < 0.8 * radius]
-            for one, at in zip(patches, places, strict=True)
+            straightened(patch.seen, fit, side)[apart < 0.8 * radius]
+            for patch, fit in zip(patches, fits, strict=True)
         ],
         axis=0,
     ).mean(axis=0)
-    shares = []
-    for one, at in zip(patches, places, strict=True):
-        seen, behind = straightened(one.seen, at, side), straightened(one.behind, at, side)
+    fractions = []
+    for patch, fit in zip(patches, fits, strict=True):
+        seen, behind = straightened(patch.seen, fit, side), straightened(patch.behind, fit, side)
         towards = inner - behind
         size = (towards**2).sum(axis=2)
-        share = ((seen - behind) * towards).sum(axis=2) / (size + 1.0)
-        shares.append(np.where(size > _TELLING, np.clip(share, 0, 1), np.nan))
+        fraction = ((seen - behind) * towards).sum(axis=2) / (size + 1.0)
+        fractions.append(np.where(size > _TELLING, np.clip(fraction, 0, 1), np.nan))
     with np.errstate(invalid="ignore"):
-        stack = np.array(shares)
-        enough = np.isfinite(stack).sum(axis=0) >= min(3, len(stack))
+        stack = np.array(fractions)
+        enough = np.isfinite(stack).sum(axis=0) >= min(_LEAST_SAMPLES, len(stack))
         middle = np.where(enough, np.nanmedian(np.where(enough, stack, 0.0), axis=0), np.nan)
-    rings = np.arange(0.5 * radius, 1.5 * radius + 1, 0.5)
+    rings = np.arange(0.5 * radius, 1.5 * radius + 1, _RING_PX)
     profile = []
     for ring in rings:
-        values = middle[np.abs(apart - ring) < 0.5]
+        values = middle[np.abs(apart - ring) < _RING_PX]
         values = values[np.isfinite(values)]
-        profile.append(float(np.median(values)) if len(values) > 3 else np.nan)
+        profile.append(float(np.median(values)) if len(values) >= _LEAST_IN_RING else np.nan)
     known = np.isfinite(profile)
     below = np.flatnonzero(known & (np.array(profile) < 0.5))
     if not len(below) or below[0] == 0:
@@ -123,4 +144,5 @@ def _outline(patches: Sequence[Patch], places: Sequence[Array], radius: float) -
     at = int(below[0])
     high, low = profile[at - 1], profile[at]
     part = (high - 0.5) / (high - low) if np.isfinite(high) and high > low else 0.5
-    return float(np.clip(rings[at - 1] + 0.5 * part, 0.75 * radius, 1.35 * radius))
+    outline = rings[at - 1] + _RING_PX * part
+    return float(np.clip(outline, _LEAST_CHANGE * radius, _MOST_CHANGE * radius))

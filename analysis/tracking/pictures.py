@@ -12,14 +12,17 @@ from analysis.selection import check_start
 from tunenet_logs.arrays import Picture
 from tunenet_logs.episode import Episode, Frame
 from tunenet_logs.errors import LogError, NotFoundError, UsageError
-from tunenet_logs.timestamp_correction import on_time
+from tunenet_logs.timestamp_correction import correct_late_stamps
 
 _MOST_SAMPLES = 64
+"""Pictures for the background, in memory at once: enough that a ball, a hand or a person covers no
+pixel in most of them."""
+
 _MOST_PIXELS = 480_000
 """Above that, pictures are reduced: a ball is still found to a small part of a pixel."""
 
 _ROUNDED_S = 0.1
-"""By as much may a time that somebody read off a player lie outside the pictures."""
+"""By as much a time that somebody read off a player may lie outside the pictures."""
 
 
 class Pictures:
@@ -27,16 +30,16 @@ class Pictures:
 
     Attributes:
         stamps_ns: when the pictures were taken, shape (T,), strictly increasing.
-        arrivals: the same, beside the stamps of the recording, which may have come late.
-        start_ns: stamp of the topic's first picture, selected or not.
-        length_s: from there to the topic's last picture, selected or not.
+        arrivals: the same, beside the recording's own stamps, which may have come late.
+        start_ns: stamp of the topic's first picture, in the part selected or not.
+        length_s: from there to the topic's last picture, in the part selected or not.
         size_px: (width, height) before reduction.
         scale: by which they are reduced, a whole number.
-        other_size: pictures of another size than most, left out.
-        opened: pictures of the topic that the file still holds, selected or not.
-        damaged: pictures that could not be decoded and are left out.
+        other_size: number of pictures of another size than most, left out.
+        opened: number of pictures of the topic that can be read, in the part selected or not.
+        damaged: number of pictures that could not be decoded and are left out.
         samples: 32 to 64 of the pictures, evenly over the recording (all of a short one), reduced.
-        sampled: their numbers, increasing.
+        sampled: their numbers, increasing, shape (N,).
 
     Args:
         episode: with frames.
@@ -91,7 +94,7 @@ class Pictures:
         if not stamps:
             why = f": {reason}" if reason else ""
             raise NotFoundError(f"holds no picture that can be decoded (in the part selected){why}")
-        self.arrivals = on_time(np.array(stamps, np.int64))
+        self.arrivals = correct_late_stamps(np.array(stamps, np.int64))
         self.stamps_ns = self.arrivals.stamps_ns
 
     def __iter__(self) -> Iterator[Picture]:
@@ -117,6 +120,12 @@ class Pictures:
     def allowed(self, roi: tuple[int, int, int, int] | None) -> Picture | None:
         """Where the ball may be: 1 inside the box, 0 outside; None for everywhere.
 
+        Args:
+            roi: left, top, width, height [px] of the box, before reduction.
+
+        Returns:
+            Shape (H, W) of the reduced pictures.
+
         Raises:
             UsageError: the box is not in the picture.
         """
@@ -132,18 +141,19 @@ class Pictures:
         return self._reduced(mask)
 
     def scaled(self, ball_at: tuple[float, float, float]) -> tuple[float, float, float]:
-        """A place in the picture [px], and a time since the topic's first picture [s], in ours.
+        """Convert a position [px] and a time [s] to reduced pictures that begin at `stamps_ns[0]`.
 
-        Ours are reduced, and begin at `stamps_ns[0]`.
+        Args:
+            ball_at: x, y in the picture as recorded, and seconds since the topic's first one.
 
         Raises:
-            UsageError: the place is not in the picture, or the time not in the part selected.
+            UsageError: the position is not in the picture, or the time not in the part selected.
         """
         x, y, at_s = ball_at
         wide, tall = self.size_px
         if not (0 <= x < wide and 0 <= y < tall):
             raise UsageError(f"--ball-at {x:g},{y:g} is not in the picture of {wide} x {tall} px")
-        before_s, last_s = ((int(one) - self.start_ns) * 1e-9 for one in self.stamps_ns[[0, -1]])
+        before_s, last_s = ((int(end) - self.start_ns) * 1e-9 for end in self.stamps_ns[[0, -1]])
         if not before_s - _ROUNDED_S <= at_s <= last_s + _ROUNDED_S:
             raise UsageError(
                 f"--ball-at: {at_s:g} s is not in the pictures, {before_s:.2f} to {last_s:.2f} s "
@@ -162,6 +172,7 @@ class Pictures:
         return sizes.most_common(1)[0][0] if sizes else (1, 1)
 
     def _selected(self) -> Iterator[tuple[int, Frame]]:
+        """Frames of the part selected, each with its number in the topic."""
         for index, frame in enumerate(readable_frames(self._episode, self._topic)):
             self.opened = index + 1
             if index == 0:
@@ -176,6 +187,7 @@ class Pictures:
         check_start(self._start_s, self.length_s)
 
     def _reduced(self, picture: Picture) -> Picture:
+        """The mean of each `scale` by `scale` pixels; what is left over at two edges is cut."""
         if self.scale == 1:
             return picture
         import cv2

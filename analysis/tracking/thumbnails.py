@@ -13,22 +13,26 @@ from tunenet_logs.jpeg import from_bgr, is_whole
 from tunenet_logs.progress import Bar, Progress
 
 MOST_BYTES = 64 * 1024 * 1024
-"""Of all pictures that are kept, as JPEGs."""
+"""Of all pictures that are kept, as JPEGs: what a browser holds without effort."""
 
 MOST_REDUCED = 300
+"""Pictures that are made smaller: each takes the time to decode and encode it."""
+
 LONG_SIDE_PX = 960
+"""Of a picture that is made smaller: it fits a screen, with a page around it."""
+
 _SMALL_BYTES = 200_000
-"""A JPEG of no more is kept as it was recorded."""
+"""A JPEG of no more is kept as it was recorded: to make it smaller takes time and gains little."""
 
 
 @dataclass(frozen=True)
-class Shot:
+class Thumbnail:
     """One picture, as a JPEG.
 
     Attributes:
         seconds: since the topic's first picture.
         data: the JPEG.
-        is_reduced: whether it was made here; else it is as recorded.
+        is_reduced: whether it was made smaller here; else it is as recorded.
     """
 
     seconds: float
@@ -41,12 +45,12 @@ class Album:
     """Pictures in the order of their time, evenly chosen where there are too many.
 
     Attributes:
-        size_px: (width, height) as recorded, whatever size the shots have.
+        size_px: (width, height) as recorded, whatever size the thumbnails have.
     """
 
     topic: str
     size_px: tuple[int, int]
-    shots: tuple[Shot, ...]
+    thumbnails: tuple[Thumbnail, ...]
 
 
 def album_of(
@@ -70,15 +74,16 @@ def album_of(
         NotFoundError: the part begins past the last one.
         LogError: the log is damaged.
     """
-    total = next((one.messages for one in episode.channels if one.topic == topic), None)
+    counts = (channel.messages for channel in episode.channels if channel.topic == topic)
+    total = next(counts, None)
     with (progress or Progress(quiet=True)).bar(total, "pictures", "frame") as bar:
-        shelf = _Shelf()
+        thinning = _Thinning()
         for number, (seconds, frame) in enumerate(_selected(episode, topic, start_s, end_s, bar)):
             with suppress(LogError):  # a damaged picture
-                shelf.add(number, seconds, frame)
-    if shelf.size_px is None or not shelf.shots:
+                thinning.add(number, seconds, frame)
+    if thinning.size_px is None or not thinning.thumbnails:
         raise UsageError("holds no picture that can be decoded (in the part selected)")
-    return Album(topic, shelf.size_px, tuple(shelf.shots.values()))
+    return Album(topic, thinning.size_px, tuple(thinning.thumbnails.values()))
 
 
 def _selected(
@@ -101,17 +106,17 @@ def _selected(
     check_start(start_s, length_s)
 
 
-class _Shelf:
+class _Thinning:
     """Keeps every n-th picture; n doubles, and every second is let go, when there are too many.
 
     Attributes:
         size_px: of the first picture that can be decoded; None before it.
-        shots: by the number of the picture.
+        thumbnails: by the number of the picture.
     """
 
     def __init__(self) -> None:
         self.size_px: tuple[int, int] | None = None
-        self.shots: dict[int, Shot] = {}
+        self.thumbnails: dict[int, Thumbnail] = {}
         self._step = 1
         self._held_bytes = 0
         self._reduced = 0
@@ -129,26 +134,27 @@ class _Shelf:
             self.size_px = (width, height)
         elif frame.size_px() != self.size_px:
             return
-        self._put(number, _shot(seconds, frame))
-        while len(self.shots) > 1 and (
+        self._put(number, _thumbnail(seconds, frame))
+        while len(self.thumbnails) > 1 and (
             self._held_bytes > MOST_BYTES or self._reduced > MOST_REDUCED
         ):
             self._step *= 2
-            shots, self.shots = self.shots, {}
+            thumbnails, self.thumbnails = self.thumbnails, {}
             self._held_bytes = self._reduced = 0
-            for at, shot in shots.items():
+            for at, thumbnail in thumbnails.items():
                 if at % self._step == 0:
-                    self._put(at, shot)
+                    self._put(at, thumbnail)
 
-    def _put(self, number: int, shot: Shot) -> None:
-        self.shots[number] = shot
-        self._held_bytes += len(shot.data)
-        self._reduced += shot.is_reduced
+    def _put(self, number: int, thumbnail: Thumbnail) -> None:
+        self.thumbnails[number] = thumbnail
+        self._held_bytes += len(thumbnail.data)
+        self._reduced += thumbnail.is_reduced
 
 
-def _shot(seconds: float, frame: Frame) -> Shot:
+def _thumbnail(seconds: float, frame: Frame) -> Thumbnail:
+    """The frame as recorded where that is a small JPEG, else made smaller."""
     if frame.size is None and len(frame.data) <= _SMALL_BYTES and is_whole(frame.data):
-        return Shot(seconds, frame.data, is_reduced=False)
+        return Thumbnail(seconds, frame.data, is_reduced=False)
     import cv2
 
     pixels = frame.decode()
@@ -157,4 +163,4 @@ def _shot(seconds: float, frame: Frame) -> Shot:
     small_px = (max(1, round(width * scale)), max(1, round(height * scale)))
     small = cv2.resize(pixels, small_px, interpolation=cv2.INTER_AREA)
     data = from_bgr(cv2.cvtColor(small, cv2.COLOR_RGB2BGR))
-    return Shot(seconds, data, is_reduced=True)
+    return Thumbnail(seconds, data, is_reduced=True)

@@ -12,7 +12,7 @@ from benchmarks.faults.fault import Fault
 FITS = (
     Fault(
         "through the air, a bounce comes down in the time that it went up",
-        "recorders/simulators/bounce.py",
+        "recorders/simulators/closed_form/bounce.py",
         "lasted = (math.atan(reach) + math.asinh(reach))",
         "lasted = (math.atan(reach) + math.atan(reach))",
         ("tests/recorders/test_bounce.py",),
@@ -20,7 +20,7 @@ FITS = (
     Fault(
         "the interval of a smoothed track counts every sample as one of its own",
         "analysis/drop/bounce_fit.py",
-        "allowed = variance * worth * float(t.ppf(0.975, freedom)) ** 2",
+        "allowed = variance * samples_each * float(t.ppf(0.975, freedom)) ** 2",
         "allowed = variance * float(t.ppf(0.975, freedom)) ** 2",
         ("tests/analysis/drop/test_bounce_fit.py",),
     ),
@@ -160,7 +160,7 @@ VERDICTS = (
     ),
     Fault(
         "an arm's slow torques are hidden by its fast positions",
-        "analysis/payload/arm_checks.py",
+        "analysis/payload/checks.py",
         "slow_hz = min(log.position.rate_hz, log.effort.rate_hz)",
         "slow_hz = max(log.position.rate_hz, log.effort.rate_hz)",
         ("tests/analysis/payload/test_checks.py", "tests/analysis/payload/test_payload.py"),

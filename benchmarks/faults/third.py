@@ -12,9 +12,9 @@ from benchmarks.faults.fault import Fault
 FITS = (
     Fault(
         "how long flights last seems surer than it is: the errors of the impact between cancel",
-        "analysis/drop/flight_times.py",
-        "slopes = np.array([ratio, -1 - ratio, 1.0]) / (two - one)",
-        "slopes = np.array([ratio, 1 - ratio, 1.0]) / (two - one)",
+        "analysis/drop/rebounds.py",
+        "slopes = np.array([ratio, -1 - ratio, 1.0]) / (second - first)",
+        "slopes = np.array([ratio, 1 - ratio, 1.0]) / (second - first)",
         ("tests/analysis/drop/test_film_restitution.py",),
     ),
     Fault(
@@ -26,14 +26,14 @@ FITS = (
     ),
     Fault(
         "beside a tare, the second opinion forgets that a driver's torques have another sign",
-        "analysis/payload/two_rollout_mass.py",
-        "left - np.mean(convention.sign * tare.effort - tare_nm, axis=0)",
-        "left - np.mean(tare.effort - tare_nm, axis=0)",
+        "analysis/payload/torque_fit.py",
+        "residual - np.mean(convention.sign * tare.effort - tare_nm, axis=0)",
+        "residual - np.mean(tare.effort - tare_nm, axis=0)",
         ("tests/analysis/payload/test_torque_fit.py",),
     ),
     Fault(
         "a ball that is twice in one place as it turns back is taken for a doubled picture",
-        "analysis/tracking/second_look.py",
+        "analysis/tracking/redetection.py",
         "kept[first:end] = not (stood and least > _MOVED_PX and onward)",
         "kept[first:end] = not (stood and least > _MOVED_PX)",
         ("tests/analysis/tracking/test_trouble.py",),
@@ -72,8 +72,8 @@ READERS = (
     Fault(
         "a picture whose header stamp is not set is one of 1970",
         "tunenet_logs/formats/pictures.py",
-        "stamp_ns = picture.stamp_ns if is_told and picture.stamp_ns else record.log_ns",
-        "stamp_ns = picture.stamp_ns if is_told else record.log_ns",
+        "stamp_ns = picture.stamp_ns if trusts_header and picture.stamp_ns else record.log_ns",
+        "stamp_ns = picture.stamp_ns if trusts_header else record.log_ns",
         ("tests/tunenet_logs/test_pictures.py",),
     ),
     Fault(
@@ -111,7 +111,7 @@ WRITERS = (
         "a log whose pictures cannot be read to their end is found whole",
         "tunenet_logs/checking.py",
         "        except LogError as error:\n"
-        '            found.append(f"{topic}: reading ends after {count} of {told} pictures: '
+        '            found.append(f"{topic}: reading ends after {count} of {stated} pictures: '
         '{error}")\n',
         "        except LogError:\n            pass\n",
         ("tests/tunenet_logs/test_hostile.py",),
@@ -135,7 +135,7 @@ WRITERS = (
 VERDICTS = (
     Fault(
         "the perspective by the ball's size has the wrong sign",
-        "analysis/drop/film_doubts.py",
+        "analysis/drop/film_checks.py",
         "perspective=float(-found[1] - projection.perspective),",
         "perspective=float(found[1] - projection.perspective),",
         ("tests/analysis/drop/test_film_restitution.py",),

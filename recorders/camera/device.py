@@ -15,6 +15,7 @@ from tunenet_logs.errors import CameraError
 from tunenet_logs.jpeg import from_bgr, is_whole
 
 _PLAUSIBLE_NS = 5_000_000_000
+"""A driver's stamp that is further from the monotonic clock is of another clock, or 0."""
 
 
 class CameraDevice:

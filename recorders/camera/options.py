@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from recorders.camera.preview import Preview
 
 _LONGEST_NAME = 100
+"""Characters of a ball's or surface's name: it is one line of a log's notes."""
 
 
 def camera_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:

@@ -19,7 +19,9 @@ from tunenet_logs.errors import LogError
 from tunenet_logs.images import MAX_PIXELS, image_size
 
 _RATE_FRAMES = 60
+"""Frames over which the shown rate is measured: one or two seconds."""
 _BLOWN_OUT = 250
+"""Grey level, of 255, from which a pixel counts as overexposed: JPEG blurs the 255 a little."""
 _PAUSE_SECONDS = 0.03
 """Between two pictures of the page: an eye needs no more, and recording comes first."""
 

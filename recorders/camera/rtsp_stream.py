@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from av import Packet
 
 _LEAP_NS = 5_000_000_000
+"""The camera's clock has jumped (or started anew) where it differs by more from the arrival."""
 
 
 class RtspStream:

@@ -9,9 +9,10 @@ if TYPE_CHECKING:
     import cv2
 
 _MANUAL_EXPOSURE = 1.0
-"""V4L2's V4L2_EXPOSURE_MANUAL; it counts exposure in units of 100 µs."""
+"""V4L2_EXPOSURE_MANUAL of V4L2."""
 
 _EXPOSURES_PER_MS = 10.0
+"""V4L2 gives an exposure in units of 100 µs."""
 
 
 @dataclass(frozen=True)

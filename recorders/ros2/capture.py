@@ -18,10 +18,12 @@ from recorders.session import Summary, stop_flag
 from tunenet_logs.episode import EpisodeInfo
 from tunenet_logs.errors import TopicError
 from tunenet_logs.progress import Bar, Progress
-from tunenet_logs.wording import listed, one_line
+from tunenet_logs.text import listed, one_line
 
 _WAIT_S = 0.1
+"""The longest wait for a message: a signal to stop is heard within it."""
 _SHOW_S = 0.5
+"""Between two updates of the line on the terminal."""
 _MEETING_S = 1.0
 """How long a topic is looked at before it is judged: it may have several publishers."""
 _LONGEST_TURN_S = 0.25

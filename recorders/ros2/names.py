@@ -5,12 +5,13 @@ from __future__ import annotations
 import re
 
 from tunenet_logs.errors import UsageError
-from tunenet_logs.wording import short_name
+from tunenet_logs.text import short_name
 
 _PREFIX = "rt/"
 _TOPIC = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 _TYPE = re.compile(r"(\w+)::(msg|srv|action)::dds_::(\w+)_")
 _LONGEST = 200
+"""Characters: DDS takes 255, of which ROS 2 needs some for its prefixes and services."""
 
 
 def checked_topic(text: str) -> str:

@@ -7,10 +7,13 @@ from collections import deque
 import numpy as np
 
 _SETTLED_AT = 100
+"""Intervals that are judged in one go: a median for each message would cost more than the rest."""
 _REMEMBERED = 200
-"""Intervals that say what the usual one is."""
+"""Intervals whose median is the usual one: 0.2 s at 1 kHz, so a rate that changes is followed."""
 _FEWEST = 5
+"""Intervals without which there is no usual one."""
 _GAP_PERIODS = 2.5
+"""Usual intervals: at least one sample is missing in a longer one, whatever its jitter."""
 _SHORTEST_GAP_NS = 10_000_000
 """An arm does not get far in less, and computers without a real-time kernel are late by that."""
 

@@ -28,9 +28,11 @@ from tunenet_logs.errors import TopicError
 
 _ANY = SampleState.Any | ViewState.Any | InstanceState.Any
 _MOST_AT_ONCE = 1000
+"""Messages taken in one call: a second at 1 kHz, and bounded memory after a pause."""
 _MOST_WAITING = 100_000
 """Messages of a topic; more than a minute and a half at 1 kHz."""
 _LAST_NS = 2**63 - 1
+"""DDS writes infinity as this: such a stamp is no time."""
 _POLICIES = {
     6: "ownership",
     11: "reliability",

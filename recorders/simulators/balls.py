@@ -1,4 +1,4 @@
-"""Balls that people drop, and what the air does to them."""
+"""Balls that people drop, and the air's drag on them."""
 
 from __future__ import annotations
 
@@ -13,10 +13,13 @@ if TYPE_CHECKING:
     from tunenet_logs.episode import EpisodeInfo
 
 AIR_KG_M3 = 1.2
-"""At 20 degrees Celsius and sea level."""
+"""Density of air at 20 degrees Celsius and sea level."""
 
 _DENSEST_KG_M3 = 22_590.0
-"""Osmium."""
+"""Density of osmium, the densest metal: a ball over it was given in grams."""
+
+_CONTRADICTION = 1.2
+"""Ratio of two values of one quantity: balls of a kind differ by a few percent, kinds by more."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +47,7 @@ class Ball:
         ):
             if value is not None and not (isfinite(value) and value > 0):
                 raise UsageError(f"a ball's {what} is over 0, not {value:g}{unit}")
-        if self.density_kg_m3 is not None and self.density_kg_m3 <= AIR_KG_M3:
+        if None not in (self.diameter_m, self.mass_kg) and (self.density_kg_m3 or 0.0) <= AIR_KG_M3:
             raise UsageError(
                 f"a ball of {self.diameter_m:g} m and {self.mass_kg:g} kg is lighter than the air "
                 "in its place; give its diameter in m and its mass in kg"
@@ -55,7 +58,7 @@ class Ball:
         """Size and mass, as far as they are known."""
         size = "" if self.diameter_m is None else f"{1000 * self.diameter_m:.3g} mm"
         mass = "" if self.mass_kg is None else f"{1000 * self.mass_kg:.3g} g"
-        return ", ".join(one for one in (size, mass) if one) or "unknown"
+        return ", ".join(known for known in (size, mass) if known) or "unknown"
 
     @property
     def density_kg_m3(self) -> float | None:
@@ -66,7 +69,7 @@ class Ball:
 
     @property
     def is_denser_than_metal(self) -> bool:
-        """Whether no such ball can be: its mass is likely to be one in grams."""
+        """Whether no such ball can be: its mass is likely to be given in grams."""
         return (self.density_kg_m3 or 0.0) > _DENSEST_KG_M3
 
     @property
@@ -112,35 +115,37 @@ def ball_named(name: str) -> Ball:
 
 
 def recorded_ball(info: EpisodeInfo) -> Ball:
-    """What a log says of its ball; what no ball can be (0, where nobody measured) is not known."""
+    """The ball as a log specifies it; impossible values (0, not measured) count as unknown."""
     known = BALLS.get(info.notes.get("ball", ""), Ball())
-    told = {
+    specified = {
         field: value
         for field in ("diameter_m", "mass_kg")
         if (value := info.rig.get(f"ball_{field}")) is not None and 0 < value < inf
     }
     try:
-        return replace(known, **told)
+        return replace(known, **specified)
     except UsageError:
         return Ball()
 
 
-def contradict(told: Ball, recorded: Ball) -> bool:
-    """Whether a user and a log say of the same length or mass what is a fifth apart or more."""
-    pairs = ((told.diameter_m, recorded.diameter_m), (told.mass_kg, recorded.mass_kg))
-    return any(one and two and max(one, two) > 1.2 * min(one, two) for one, two in pairs)
+def contradict(given: Ball, recorded: Ball) -> bool:
+    """Whether the user's and the log's diameter or mass are more than a fifth apart."""
+    pairs = ((given.diameter_m, recorded.diameter_m), (given.mass_kg, recorded.mass_kg))
+    return any(
+        user and log and max(user, log) > _CONTRADICTION * min(user, log) for user, log in pairs
+    )
 
 
-def completed(told: Ball, recorded: Ball) -> Ball:
-    """What a user says of a ball, and what only the log says: the user may know better."""
-    if told == Ball():
+def completed(given: Ball, recorded: Ball) -> Ball:
+    """The user's ball with what only the log specifies: the user may know better."""
+    if given == Ball():
         return recorded
-    diameter_m, mass_kg = told.diameter_m, told.mass_kg
+    diameter_m, mass_kg = given.diameter_m, given.mass_kg
     try:
         return replace(
-            told,
+            given,
             diameter_m=recorded.diameter_m if diameter_m is None else diameter_m,
             mass_kg=recorded.mass_kg if mass_kg is None else mass_kg,
         )
     except UsageError:
-        return told
+        return given

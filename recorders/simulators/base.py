@@ -10,6 +10,9 @@ from typing import Protocol
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import UsageError
 
+GRAVITY_M_S2 = 9.80665
+"""Standard gravity (ISO 80000-3); at sea level it is 9.780 (equator) to 9.832 (poles)."""
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -43,6 +46,16 @@ class Parameter:
 
 class Simulator(Protocol):
     """An episode source that can be asked again with other parameters."""
+
+    @property
+    def engine(self) -> str:
+        """What simulates, with its version, as `EpisodeInfo.source` begins: "pybullet 3.2.7"."""
+        ...
+
+    @property
+    def step_hz(self) -> float:
+        """Steps of the simulator a second [Hz]."""
+        ...
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from recorders.simulators.base import Parameter
 from recorders.simulators.drop import RESTITUTION, TOPIC
-from recorders.simulators.shot.contact import Balls
+from recorders.simulators.shot.contact import BallStates
 from recorders.simulators.shot.flight import COARSE_S, STEP_S, Flights, fly
 from recorders.simulators.shot.rig import ShotRig
 from recorders.simulators.shot.speed_law import SpeedLaw
@@ -41,10 +41,10 @@ def passes(rig: ShotRig, law: SpeedLaw, heights_m: Array, shifts: Array) -> Flig
     return fly(rig, law, start, shifts, has_rim=False, step_s=COARSE_S)
 
 
-def released(rig: ShotRig, heights_m: Array) -> Balls:
+def released(rig: ShotRig, heights_m: Array) -> BallStates:
     """Balls at rest straight above where they will touch."""
     up = np.column_stack([np.zeros((len(heights_m), 2)), heights_m])
-    return Balls(rig.touch_m + up, np.zeros_like(up), np.zeros_like(up))
+    return BallStates(rig.touch_m + up, np.zeros_like(up), np.zeros_like(up))
 
 
 @dataclass(frozen=True)
@@ -69,6 +69,7 @@ class BounceShot:
     rate_hz: float = 240.0
 
     parameters: tuple[Parameter, ...] = (RESTITUTION,)
+    engine = ENGINE
 
     def __post_init__(self) -> None:
         if not 0.005 <= self.height_m <= 50:
@@ -76,23 +77,27 @@ class BounceShot:
         if not 1 <= self.rate_hz <= 20_000:
             raise UsageError(f"rate_hz {self.rate_hz:g} is not from 1 to 20000 Hz")
 
+    @property
+    def step_hz(self) -> float:
+        """The smallest multiple of `rate_hz` whose steps are `STEP_S` or shorter [Hz]."""
+        return self.rate_hz * int(np.ceil(1 / (self.rate_hz * STEP_S)))
+
     def rollout(self, values: Mapping[str, float]) -> Episode:
         """The shot until the ball is below the hoop, with `values["restitution"]`."""
         if set(values) != {RESTITUTION.name}:
             raise UsageError(f"a shot takes the value restitution, not {sorted(values)}")
         law = SpeedLaw(RESTITUTION.checked(values[RESTITUTION.name]), self.slope, self.at_m_s)
-        finer = int(np.ceil(1 / (self.rate_hz * STEP_S)))
         flights = fly(
             self.rig,
             law,
             released(self.rig, np.array([self.height_m])),
             np.zeros(1),
             has_rim=True,
-            step_s=1 / (self.rate_hz * finer),
+            step_s=1 / self.step_hz,
             keep=True,
         )
-        places = flights.positions_m[::finer, 0]
-        stamps_ns = np.round(np.arange(len(places)) * (1e9 / self.rate_hz)).astype(np.int64)
+        positions_m = flights.positions_m[:: round(self.step_hz / self.rate_hz), 0]
+        stamps_ns = np.round(np.arange(len(positions_m)) * (1e9 / self.rate_hz)).astype(np.int64)
         info = EpisodeInfo(
             kind=KIND,
             source=ENGINE,
@@ -110,4 +115,4 @@ class BounceShot:
                 "miss_distance_m": float(np.nan_to_num(np.hypot(*flights.offset_m[0]), nan=-1.0)),
             },
         )
-        return Episode(info, {TOPIC: Signal(TOPIC, stamps_ns, places, ("x", "y", "z"), "m")})
+        return Episode(info, {TOPIC: Signal(TOPIC, stamps_ns, positions_m, ("x", "y", "z"), "m")})

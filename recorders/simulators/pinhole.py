@@ -13,7 +13,10 @@ from tunenet_logs.errors import UsageError
 Point = tuple[float, float, float]
 
 _FARTHEST_M = 1e4
+"""Of a camera or its target from the origin: beyond it, a coordinate is a mistake."""
+
 _SIZES_PX = (16, 8192)
+"""Smallest and largest side of a picture: the renderer draws each pixel 16 times in memory."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +59,7 @@ class PinholeCamera:
 
     @property
     def camera_from_world(self) -> Array:
-        """Rows are the camera's right, down and forward, shape (3, 3)."""
+        """Rotation from world to camera axes: rows are right, down and forward, shape (3, 3)."""
         forward = np.subtract(self.target_m, self.position_m)
         forward /= np.linalg.norm(forward)
         right = np.cross(forward, [0.0, 0.0, 1.0])
@@ -64,13 +67,14 @@ class PinholeCamera:
         return np.array([right, np.cross(forward, right), forward])
 
     def image_from_world(self, points_m: Array) -> Array:
-        """Pixels (x right, y down; the first pixel's centre is 0, 0) of points.
+        """Project points into the picture.
 
         Args:
-            points_m: shape (N, 3).
+            points_m: in the world, shape (N, 3).
 
         Returns:
-            Shape (N, 2); NaN for a point behind the camera.
+            Shape (N, 2) [px], x right, y down, the first pixel's centre at 0, 0; NaN for a point
+            behind the camera.
         """
         seen = (points_m - np.array(self.position_m)) @ self.camera_from_world.T
         depth = np.where(seen[:, 2] > 0, seen[:, 2], np.nan)
@@ -78,12 +82,12 @@ class PinholeCamera:
         return middle + self.focal_px * seen[:, :2] / depth[:, None]
 
     def radius_px(self, points_m: Array, radius_m: float) -> Array:
-        """About how large balls at these points look, shape (N,)."""
+        """Apparent radius of balls at points of shape (N, 3), shape (N,) [px]; exact on axis."""
         depth = (points_m - np.array(self.position_m)) @ self.camera_from_world[2]
         return self.focal_px * radius_m / depth
 
     def sees(self, points_m: Array, margin_px: float) -> bool:
-        """Whether all points lie in the picture, that far from its edges."""
+        """Whether all points, shape (N, 3), lie `margin_px` or more inside the picture's edges."""
         pixels = self.image_from_world(points_m)
         far = np.array(self.size_px) - 1 - margin_px
         return bool(np.all((pixels >= margin_px) & (pixels <= far)))  # NaN is not

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from analysis.batch import tune_all
-from analysis.tuning import Options
+from analysis.selection import Options
 from tests.conftest import record
 from tunenet_logs.errors import LogError, UsageError, WeightsError
 from tunenet_logs.progress import Progress
@@ -24,7 +24,7 @@ def test_a_bad_log_never_stops_the_rest(tmp_path: Path, jobs: int):
     (tmp_path / "b.mcap").write_text("not a log")
     logs = [good[0], tmp_path / "b.mcap", tmp_path / "missing.mcap", good[1]]
     results = tune_all(logs, Options(), tmp_path / "out", jobs, QUIET)
-    assert [result.row.verdict for result in results] == ["ok", "rejected", "rejected", "ok"]
+    assert [result.row.record.verdict for result in results] == ["ok", "rejected", "rejected", "ok"]
     assert [result.row.log for result in results] == logs
     names = sorted(path.name for path in (tmp_path / "out").iterdir())
     assert names == ["a.json", "a.rrd", "b.json", "c.json", "c.rrd"]
@@ -34,12 +34,63 @@ def test_a_bad_log_never_stops_the_rest(tmp_path: Path, jobs: int):
     assert report["reason"]
 
 
-def test_results_lie_beside_the_log_and_replace_older_ones(tmp_path: Path):
+def test_a_log_that_is_tuned_again_replaces_its_own_results(tmp_path: Path):
     path = record(tmp_path / "a.mcap", restitution=0.6, height_m=1.0)
-    (tmp_path / "a.json").write_text("old")
     tune_all([path], Options(), None, 1, QUIET)
-    assert json.loads((tmp_path / "a.json").read_text())["verdict"] == "ok"
+    (result,) = tune_all([path], Options(method="fit"), None, 1, QUIET)
+    assert result.trouble is None
+    written = json.loads((tmp_path / "a.json").read_text())
+    assert written["method"] == "fit"
+    assert written["provenance"]["options"] == {"method": "fit"}
     assert not list(tmp_path.glob("*.partial"))
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("other/a.mcap", "is the tuning of a.mcap before it changed, not of"),
+        ("other.mcap", "is the tuning of a.mcap, not of"),
+    ],
+)
+def test_results_of_another_log_are_never_replaced_silently(tmp_path: Path, name: str, said: str):
+    (tmp_path / "other").mkdir()
+    path = record(tmp_path / "a.mcap", restitution=0.6, height_m=1.0)
+    other = record(tmp_path / name, restitution=0.8, height_m=1.0)
+    out = tmp_path / "out"
+    tune_all([path], Options(), out, 1, QUIET)
+    if other.stem != "a":
+        for suffix in (".json", ".rrd"):
+            (out / f"a{suffix}").rename(out / f"other{suffix}")
+    before = {file.name: file.read_bytes() for file in out.iterdir()}
+    (result,) = tune_all([other], Options(), out, 1, QUIET)
+    assert said in (result.trouble or "")
+    assert str(other) in (result.trouble or "")
+    assert "--overwrite" in (result.trouble or "")
+    assert {file.name: file.read_bytes() for file in out.iterdir()} == before
+    (result,) = tune_all([other], Options(), out, 1, QUIET, overwrite=True)
+    assert result.trouble is None
+    assert json.loads((out / f"{other.stem}.json").read_text())["log"] == other.name
+
+
+def test_what_is_no_result_is_never_replaced_silently(tmp_path: Path):
+    path = record(tmp_path / "a.mcap", restitution=0.6, height_m=1.0)
+    (tmp_path / "a.json").write_text("mine")
+    (result,) = tune_all([path], Options(), None, 1, QUIET)
+    assert "a.json: exists, and is no tuning of a.mcap" in (result.trouble or "")
+    assert (tmp_path / "a.json").read_text() == "mine"
+    (tmp_path / "a.json").unlink()
+    (tmp_path / "a.rrd").write_bytes(b"RRF2 of something else")
+    (result,) = tune_all([path], Options(), None, 1, QUIET)
+    assert "a.rrd: exists, and is no review of a.mcap" in (result.trouble or "")
+
+
+def test_a_review_without_its_json_is_known_by_its_log(tmp_path: Path):
+    """A run that was killed between the two is no obstacle to the next."""
+    path = record(tmp_path / "a.mcap", restitution=0.6, height_m=1.0)
+    tune_all([path], Options(), None, 1, QUIET)
+    (tmp_path / "a.json").unlink()
+    (result,) = tune_all([path], Options(), None, 1, QUIET)
+    assert result.trouble is None
 
 
 def test_logs_of_one_stem_get_their_folders_names(tmp_path: Path):
@@ -73,7 +124,7 @@ def test_an_output_that_is_a_file_is_refused_before_any_work(drop_log: Path):
 
 def test_an_output_that_cannot_be_written_is_told_with_the_result(drop_log: Path):
     (result,) = tune_all([drop_log], Options(), Path("/proc/nowhere"), 1, QUIET)
-    assert result.row.verdict == "ok"
+    assert result.row.record.verdict == "ok"
     assert "cannot be written" in (result.trouble or "")
 
 
@@ -105,7 +156,7 @@ def test_weights_that_are_none_stop_at_once(drop_log: Path, tmp_path: Path, jobs
 def test_options_that_fit_no_log_stop_at_once(drop_log: Path, tmp_path: Path, jobs: int):
     other = record(tmp_path / "b.mcap", restitution=0.6, height_m=1.0)
     with pytest.raises(UsageError):
-        tune_all([drop_log, other], Options(initial=2.0), None, jobs, QUIET)
+        tune_all([drop_log, other], Options(initial=(2.0,)), None, jobs, QUIET)
 
 
 @pytest.mark.parametrize("name", ["drop.json", "drop.rrd"])
@@ -127,7 +178,7 @@ def test_a_name_that_is_not_utf8_is_no_obstacle(drop_log: Path):
 
     path = drop_log.rename(drop_log.with_name(os.fsdecode(b"bad\xff.mcap")))
     (result,) = tune_all([path], Options(), None, 1, QUIET)
-    assert result.row.verdict == "ok"
+    assert result.row.record.verdict == "ok"
     assert result.trouble is None
     assert result.review is not None
     assert result.review.exists()

@@ -10,15 +10,23 @@ import numpy as np
 import pytest
 
 from analysis.drop.checks import sure_check
-from analysis.experiment import ExtraEstimate
-from analysis.record import interval_words, row_of, table, to_json
+from analysis.estimators.base import ExtraEstimate
+from analysis.record import record_of
+from analysis.record_json import to_json
+from analysis.report import Row, interval_words, row_of, table
 from analysis.review.words import result_words
-from analysis.tuning import Options, tune_log
+from analysis.selection import Options
+from analysis.tuning import tune_log
+from analysis.tuning_result import Tuning
 from tests.conftest import ROOT, record
 
 
+def rowed(tuning: Tuning) -> Row:
+    return row_of(tuning, record_of(tuning))
+
+
 def test_the_json_has_the_contracts_keys(drop_log: Path):
-    report = json.loads(to_json(tune_log(drop_log, Options())))
+    report = json.loads(to_json(record_of(tune_log(drop_log, Options()))))
     assert report["log"] == "drop.mcap"
     assert report["task"] == "drop"
     assert report["verdict"] == "ok"
@@ -46,7 +54,7 @@ def test_the_json_has_the_contracts_keys(drop_log: Path):
 
 def test_a_rejected_log_has_a_reason_and_no_number(tmp_path: Path):
     path = record(tmp_path / "a.mcap", restitution=0.0, height_m=1.0)
-    report = json.loads(to_json(tune_log(path, Options())))
+    report = json.loads(to_json(record_of(tune_log(path, Options()))))
     assert report["verdict"] == "rejected"
     assert report["parameters"] is None
     assert report["bounces"] == []
@@ -55,14 +63,16 @@ def test_a_rejected_log_has_a_reason_and_no_number(tmp_path: Path):
 
 def test_a_file_that_is_no_log_was_tuned_by_no_method(tmp_path: Path):
     (tmp_path / "b.mcap").write_text("no log")
-    assert json.loads(to_json(tune_log(tmp_path / "b.mcap", Options())))["method"] is None
+    assert (
+        json.loads(to_json(record_of(tune_log(tmp_path / "b.mcap", Options()))))["method"] is None
+    )
 
 
 def test_a_failed_check_says_what_to_do_at_the_next_drop(drop_log: Path):
     tuning = tune_log(drop_log, Options())
     short = replace(tuning.checks[1], passed=False)
     tuning = replace(tuning, checks=(tuning.checks[0], short, *tuning.checks[2:]))
-    checks = json.loads(to_json(tuning))["checks"]
+    checks = json.loads(to_json(record_of(tuning)))["checks"]
     assert checks[1]["advice"] == "record until the ball lies still"
     assert "advice" not in checks[0]
     assert all(one.advice for one in tuning.checks)
@@ -70,7 +80,7 @@ def test_a_failed_check_says_what_to_do_at_the_next_drop(drop_log: Path):
 
 def test_the_table_shows_the_truth_only_where_a_log_states_one(drop_log: Path, tmp_path: Path):
     (tmp_path / "b.mcap").write_text("no log")
-    known, unknown = (row_of(tune_log(path, Options())) for path in (drop_log, tmp_path / "b.mcap"))
+    known, unknown = (rowed(tune_log(path, Options())) for path in (drop_log, tmp_path / "b.mcap"))
     assert "truth" in table([known, unknown]).splitlines()[0]
     assert "truth" not in table([unknown]).splitlines()[0]
     assert "is not an MCAP log" in table([unknown])
@@ -98,8 +108,8 @@ def test_no_interval_reads_as_certainty(drop_log: Path):
     words = interval_words(*tuning.interval95[0])
     low, high = words.split(" to ")
     assert low != high
-    assert words in table([row_of(tuning)])
-    assert f"95 %: {words}" in result_words(tuning)
+    assert words in table([rowed(tuning)])
+    assert f"95 %: {words}" in result_words(record_of(tuning), tuning.preset, "drop")
 
 
 @pytest.mark.parametrize(
@@ -115,15 +125,16 @@ def test_a_failed_check_shows_by_how_much(half: float, shown: str):
 def test_where_a_check_fails_nothing_has_an_interval():
     path = ROOT / "sample_logs" / "noisy.mcap"
     tuning = tune_log(path, Options())
-    assert tuning.refined is not None
+    assert tuning.trace is not None
+    assert tuning.trace.fit is not None
     beside = ExtraEstimate("payload_com", "m", np.zeros(3), np.zeros((3, 2)))
     first = replace(tuning.checks[0], passed=False)
     doubted = replace(
         tuning,
-        refined=replace(tuning.refined, further=(beside,)),
+        trace=replace(tuning.trace, fit=replace(tuning.trace.fit, extra=(beside,))),
         checks=(first, *tuning.checks[1:]),
         verdict="suspect",
     )
-    parameters = json.loads(to_json(doubted))["parameters"]
+    parameters = json.loads(to_json(record_of(doubted)))["parameters"]
     assert parameters["restitution"]["interval95"] is None
     assert parameters["payload_com"]["interval95"] is None

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.experiment import Selection
-from analysis.tuning import Options, Tuning, tune_log
+from analysis.selection import Options, Selection
+from analysis.tuning import tune_log
+from analysis.tuning_result import Tuning
 from recorders.session import record_episode
 from recorders.simulated_drop import DropOrder, simulate_drop
 from tests.conftest import ROOT, record
@@ -72,7 +73,7 @@ def test_a_strangers_noisy_log_costs_little(tmp_path: Path, stranger: Stranger):
     stamps, positions = replace(stranger, seconds=6.0).samples()
     write_poses(tmp_path / "a.mcap", stamps, positions, topic="/any/1")
     tuning = tune_log(tmp_path / "a.mcap", Options())
-    assert tuning.found.topic == "/any/1"
+    assert tuning.detection.topic == "/any/1"
     assert value(tuning) == pytest.approx(stranger.restitution, abs=0.003)
 
 
@@ -94,7 +95,7 @@ def test_strangers_noisy_logs_held_before_the_release(tmp_path: Path):
         stamps, positions = one.samples()
         write_poses(tmp_path / "a.mcap", stamps, positions, topic=f"/any/{index}")
         tuning = tune_log(tmp_path / "a.mcap", Options())
-        assert tuning.found.topic == f"/any/{index}"
+        assert tuning.detection.topic == f"/any/{index}"
         off.append(abs(value(tuning) - one.restitution))
     assert np.mean(off) < 0.001
 
@@ -137,7 +138,7 @@ def test_rollouts_are_counted_with_the_one_that_judges(drop_log: Path):
 
 
 def test_the_first_guess_is_the_ball_that_does_not_bounce(drop_log: Path):
-    default, high = (tune_log(drop_log, Options(initial=one)) for one in (None, 0.95))
+    default, high = (tune_log(drop_log, Options(initial=one)) for one in (None, (0.95,)))
     assert default.trace is not None
     assert high.trace is not None
     assert default.trace.steps[0].values[0] == 0
@@ -150,7 +151,7 @@ def test_the_paper_presets_find_the_engines_number(tmp_path: Path):
     for index, truth in enumerate(np.linspace(0.32, 0.68, 10)):
         order = {"preset": "paper", "restitution": float(truth), "height_m": 3.6 + 0.08 * index}
         path = record(tmp_path / f"{index}.mcap", **order)
-        tuning = tune_log(path, Options(preset="paper-code", initial=0.5))
+        tuning = tune_log(path, Options(preset="paper-code", initial=(0.5,)))
         assert not tuning.physical
         assert tuning.cross_check is None
         off.append(abs(value(tuning) - truth))

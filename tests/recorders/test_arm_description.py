@@ -12,7 +12,7 @@ import pybullet_data
 import pytest
 
 from recorders.simulators.arm.description import JACO_URDF, Arm, Payload, jaco, read_arm
-from recorders.simulators.arm.dynamics import joint_efforts_nm
+from recorders.simulators.arm.dynamics import UPRIGHT_GRAVITY_M_S2, joint_efforts_nm
 from recorders.simulators.arm.path import JointPath, circle, random_path
 from tunenet_logs.errors import UsageError
 
@@ -22,6 +22,7 @@ TURN = 1.5707963267948966
 def by_pinocchio(urdf: str, path: JointPath) -> np.ndarray:
     """Torques by another library, shape (T, J)."""
     model = pinocchio.buildModelFromXML(urdf)
+    model.gravity.linear = np.array(UPRIGHT_GRAVITY_M_S2)
     data = model.createData()
     rows = zip(path.position_rad, path.velocity_rad_s, path.acceleration_rad_s2, strict=True)
     return np.array([pinocchio.rnea(model, data, *row).copy() for row in rows])
@@ -93,6 +94,7 @@ def test_two_libraries_agree_on_the_jaco(payload: Payload | None):
 def test_the_shipped_file_is_the_arm_that_is_made_of_it():
     """Lumping what is fixed changes nothing: another library reads the file itself."""
     model = pinocchio.buildModelFromUrdf(str(JACO_URDF))
+    model.gravity.linear = np.array(UPRIGHT_GRAVITY_M_S2)
     data = model.createData()
     path = circle(30)
     efforts = joint_efforts_nm(jaco(), path)
@@ -118,6 +120,7 @@ def test_any_serial_arm_with_fingers_covers_and_a_slide(tmp_path: Path):
     model = pinocchio.buildModelFromXML(
         f'<robot name="grasper">{GRASPING}</robot>'.replace('type="continuous"', 'type="revolute"')
     )
+    model.gravity.linear = np.array(UPRIGHT_GRAVITY_M_S2)
     data = model.createData()
     empty = joint_efforts_nm(arm, path)
     for row in range(40):
@@ -148,6 +151,7 @@ def test_arms_that_others_described(name: str, tool: str, tolerance: float):
     path = random_path(arm, 3, rate_hz=10)
     efforts = joint_efforts_nm(arm, path)
     model = pinocchio.buildModelFromUrdf(str(file))
+    model.gravity.linear = np.array(UPRIGHT_GRAVITY_M_S2)
     data = model.createData()
     spare = np.zeros(model.nv - len(arm.joints))
     assert list(model.names)[1 : len(arm.joints) + 1] == list(arm.joint_names)

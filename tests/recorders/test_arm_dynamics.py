@@ -12,6 +12,7 @@ from recorders.simulators.arm.dynamics import joint_efforts_nm
 from recorders.simulators.arm.path import circle, circle_at, random_path
 from recorders.simulators.arm.payload import PAYLOAD_MASS, TOPIC, PayloadRollout, PayloadSimulator
 from recorders.simulators.arm.rollout import CALIBRATED, PAPER, RolloutSettings, roll_out
+from recorders.simulators.base import GRAVITY_M_S2
 from tunenet_logs.errors import UsageError
 
 ARM = jaco()
@@ -74,7 +75,7 @@ def test_at_rest_upright_torques_are_lever_times_weight():
     path = circle(60, 0.1)
     none = np.zeros_like(path.velocity_rad_s)
     still = replace(path, velocity_rad_s=none, acceleration_rad_s2=none)
-    doubled = joint_efforts_nm(ARM, still, None, (0.0, 0.0, -19.62))
+    doubled = joint_efforts_nm(ARM, still, None, (0.0, 0.0, -2 * GRAVITY_M_S2))
     assert np.abs(doubled - 2 * joint_efforts_nm(ARM, still)).max() < 1e-9
     assert np.abs(joint_efforts_nm(ARM, still, None, (0.0, 0.0, 0.0))).max() < 1e-9
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from recorders.simulators.bounce import Bounce
+from recorders.simulators.closed_form.bounce import Bounce
 from recorders.simulators.drop import TOPIC, DropRig, DropSimulator
 
 

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from recorders.simulators.base import GRAVITY_M_S2
 from recorders.simulators.bounce_shot import BounceShot, passes, released, shoot
-from recorders.simulators.shot.contact import Balls, collide
+from recorders.simulators.shot.contact import BallStates, Rim, collide
 from recorders.simulators.shot.flight import fly
 from recorders.simulators.shot.rig import Hoop, Plane, Release, ShotBall, ShotRig
 from recorders.simulators.shot.rig_file import read_rig, rig_text
 from recorders.simulators.shot.speed_law import SpeedLaw
-from recorders.simulators.shot.surfaces import Rim
 from tests.conftest import Command
 from tunenet_logs.errors import UsageError
 from tunenet_logs.reader import read_episode
@@ -40,11 +40,11 @@ def test_without_air_it_flies_on_the_parabola_of_the_closed_form(restitution: fl
     for index, height_m in enumerate(HEIGHTS):
         forward, up = after_impact(NO_AIR, height_m, restitution)
         fall = NO_AIR.touch_m[2] - NO_AIR.hoop.up_m
-        seconds = (up + np.sqrt(up**2 + 2 * 9.81 * fall)) / 9.81
+        seconds = (up + np.sqrt(up**2 + 2 * GRAVITY_M_S2 * fall)) / GRAVITY_M_S2
         wanted = NO_AIR.touch_m[0] + forward * seconds - NO_AIR.hoop.forward_m
         assert flights.offset_m[index, 0] == pytest.approx(wanted, abs=5e-5)
         assert flights.offset_m[index, 1] == 0
-    speeds = np.sqrt(2 * 9.81 * HEIGHTS) * np.cos(np.radians(25))
+    speeds = np.sqrt(2 * GRAVITY_M_S2 * HEIGHTS) * np.cos(np.radians(25))
     assert np.allclose(flights.impact_m_s, speeds, rtol=1e-6)
 
 
@@ -55,7 +55,7 @@ def test_the_air_slows_it_as_an_ode_solver_says():
 
     def motion(_: float, state: np.ndarray) -> list[float]:
         fast = np.hypot(state[2], state[3])
-        return [state[2], state[3], -drag * fast * state[2], -9.81 - drag * fast * state[3]]
+        return [state[2], state[3], -drag * fast * state[2], -GRAVITY_M_S2 - drag * fast * state[3]]
 
     def touch(_: float, state: np.ndarray) -> float:
         return state[1]
@@ -66,7 +66,7 @@ def test_the_air_slows_it_as_an_ode_solver_says():
     touch.terminal = through.terminal = True  # type: ignore[attr-defined]
     fall = solve_ivp(motion, (0, 2), [0, 0.6, 0, 0], events=touch, rtol=1e-10, atol=1e-12).y[:, -1]
     assert flights.impact_m_s[0] == pytest.approx(-fall[3] * np.cos(np.radians(25)), abs=1e-6)
-    equal_height_m = fall[3] ** 2 / (2 * 9.81)
+    equal_height_m = fall[3] ** 2 / (2 * GRAVITY_M_S2)
     start = [RIG.touch_m[0], 0, *after_impact(RIG, equal_height_m, 0.7)]
     end = solve_ivp(motion, (0, 2), start, events=through, rtol=1e-10, atol=1e-12).y[:, -1]
     assert flights.offset_m[0, 0] == pytest.approx(end[0] - 0.45, abs=5e-5)
@@ -82,7 +82,7 @@ def test_a_hundredth_of_restitution_moves_it_by_about_nine_millimetres():
 
 def test_the_restitution_is_that_of_its_own_speed():
     law = SpeedLaw(0.7, slope=0.1, at_m_s=3.0)
-    speed = np.sqrt(2 * 9.81 * 0.4) * np.cos(np.radians(25))
+    speed = np.sqrt(2 * GRAVITY_M_S2 * 0.4) * np.cos(np.radians(25))
     slow = passes(NO_AIR, law, np.array([0.4]), np.zeros(1))
     same = passes(NO_AIR, SpeedLaw(0.7 * (speed / 3) ** -0.1), np.array([0.4]), np.zeros(1))
     assert slow.offset_m[0, 0] == pytest.approx(same.offset_m[0, 0], abs=1e-9)
@@ -116,9 +116,9 @@ def test_smooth_and_elastic_it_keeps_its_energy_through_all_impacts(step_s: floa
     places = flights.positions_m
     assert flights.has_touched.any()
     speed = np.linalg.norm(places[2:] - places[:-2], axis=2) / (2 * step_s)
-    energy = speed**2 / 2 + 9.81 * places[1:-1, :, 2]
-    at_rest = 9.81 * (heights + rig.touch_m[2])
-    flying = np.abs(np.diff(places, 2, axis=0)[:, :, 2] + 9.81 * step_s**2) < 1e-12
+    energy = speed**2 / 2 + GRAVITY_M_S2 * places[1:-1, :, 2]
+    at_rest = GRAVITY_M_S2 * (heights + rig.touch_m[2])
+    flying = np.abs(np.diff(places, 2, axis=0)[:, :, 2] + GRAVITY_M_S2 * step_s**2) < 1e-12
     assert np.abs(energy - at_rest)[flying].max() < 1e-6
 
 
@@ -152,7 +152,7 @@ def test_before_the_impact_nothing_counts():
 def test_friction_stops_the_slip_or_takes_coulombs_share():
     normal = np.array([[0.0, 0.0, 1.0]])
     for friction, sticks in ((0.25, True), (0.05, False)):
-        balls = Balls(np.zeros((1, 3)), np.array([[1.0, 0.5, -3.0]]), np.zeros((1, 3)))
+        balls = BallStates(np.zeros((1, 3)), np.array([[1.0, 0.5, -3.0]]), np.zeros((1, 3)))
         collide(balls, np.array([0]), normal, np.array([0.7]), friction, 0.03, 0.4)
         slip = balls.velocity_m_s + np.cross(balls.spin_rad_s, -0.03 * normal)
         assert balls.velocity_m_s[0, 2] == pytest.approx(2.1)

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recorders.simulators.ball_world import BallWorld
 from recorders.simulators.contact import CALIBRATED, PAPER
 from recorders.simulators.drop import RESTITUTION, TOPIC, DropRig, DropSimulator
+from recorders.simulators.engines import engine
 from tests.strangers import bounce_heights
 from tunenet_logs.errors import UsageError
 
@@ -71,7 +71,7 @@ def test_repeated_rollouts_are_bit_identical():
 
 
 def test_many_fixed_steps_are_single_steps_one_after_another():
-    world = BallWorld(0.5, PAPER)
+    world = engine().ball_world(0.5, PAPER)
     world.place(4.2, 0.6)
     singly = [world.step(1 / 60)[0] for _ in range(300)]
     world.place(4.2, 0.6)

@@ -12,7 +12,7 @@ from recorders.filmed_drop import FilmOrder, film_drop
 from recorders.simulated_drop import DropOrder, simulate_drop
 from recorders.simulators.drop import TOPIC
 from recorders.simulators.pinhole import PinholeCamera, random_camera
-from recorders.simulators.rendering import BallScene
+from recorders.simulators.pybullet.rendering import BallScene
 from tests.conftest import Command
 from tunenet_logs.errors import UsageError
 from tunenet_logs.reader import read_episode

@@ -142,7 +142,7 @@ def test_a_slow_writer_drops_the_newest_and_counts(tmp_path: Path):
         """Holds the writer up, as a slow disk does, until the camera's reader has read it all."""
 
         @contextmanager
-        def bar(self, total: int | None, what: str, unit: str) -> Iterator[Bar]:  # noqa: ARG002
+        def bar(self, total: int | None, what: str, unit: str) -> Iterator[Bar]:
             yield self
 
         def set_postfix_str(self, text: str, /, *, refresh: bool) -> None:

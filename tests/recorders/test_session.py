@@ -22,7 +22,7 @@ class StopsAfter(Progress):
         self.left = samples
 
     @contextmanager
-    def bar(self, total: int | None, what: str, unit: str) -> Iterator[Bar]:  # noqa: ARG002
+    def bar(self, total: int | None, what: str, unit: str) -> Iterator[Bar]:
         yield self
 
     def set_postfix_str(self, text: str, /, *, refresh: bool) -> None:

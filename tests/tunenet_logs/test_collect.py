@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tunenet_logs.collect import JointRows, PositionRows, named
+from tunenet_logs.collect import JointRows, PositionRows, with_joint_names
 from tunenet_logs.formats.base import BeyondLimitError
-from tunenet_logs.formats.kinds import JointSample
+from tunenet_logs.formats.message_types import JointSample
 
 NS = 10_000_000
 
@@ -67,14 +67,14 @@ def test_told_names_are_for_joints_without_names_and_as_many():
     rows = JointRows("/joint_states")
     rows.add(5, JointSample(5, (), effort=[1.0, 2.0]))
     (nameless,), _ = rows.signals()
-    assert named(nameless, ["a", "b"]).columns == ("a", "b")
-    assert named(nameless, ["a", "b", "c"]).columns == nameless.columns
-    assert named(nameless, ["a", "a"]).columns == nameless.columns
-    assert named(nameless, []).columns == nameless.columns
+    assert with_joint_names(nameless, ["a", "b"]).columns == ("a", "b")
+    assert with_joint_names(nameless, ["a", "b", "c"]).columns == nameless.columns
+    assert with_joint_names(nameless, ["a", "a"]).columns == nameless.columns
+    assert with_joint_names(nameless, []).columns == nameless.columns
     rows = JointRows("/joint_states")
     rows.add(5, JointSample(5, ("x", "y"), effort=[1.0, 2.0]))
     (with_names,), _ = rows.signals()
-    assert named(with_names, ["a", "b"]).columns == ("x", "y")
+    assert with_joint_names(with_names, ["a", "b"]).columns == ("x", "y")
 
 
 @pytest.mark.parametrize("value", [np.inf, -np.inf, np.nan])

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from analysis.tuning import Options, tune_log
+from analysis.selection import Options
+from analysis.tuning import tune_log
 from tests.strangers import Stranger, write_table
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import LogError, TuneNetError

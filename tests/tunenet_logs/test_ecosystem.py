@@ -18,7 +18,8 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as FolderWriter
 from rosbags.typesys import Stores, get_typestore
 
-from analysis.tuning import Options, tune_log
+from analysis.selection import Options
+from analysis.tuning import tune_log
 from tests import strangers
 from tests.conftest import BIN
 from tunenet_logs.episode import EpisodeInfo, Frame

@@ -121,7 +121,7 @@ class Breaks(Progress):
         self.left, self.error = left, error
 
     @contextmanager
-    def bar(self, total: int | None, what: str, unit: str) -> Iterator[Bar]:  # noqa: ARG002
+    def bar(self, total: int | None, what: str, unit: str) -> Iterator[Bar]:
         yield self
 
     def set_postfix_str(self, text: str, /, *, refresh: bool) -> None:
@@ -163,7 +163,7 @@ def test_a_name_that_was_taken_meanwhile_is_not_replaced(drop_log: Path, tmp_pat
     output = tmp_path / "b.mcap"
 
     class Intruder(Breaks):
-        def update(self, done: int, /) -> None:  # noqa: ARG002
+        def update(self, done: int, /) -> None:
             output.write_bytes(b"another's")
 
     with pytest.raises(LogError, match="nothing is left of the import"):

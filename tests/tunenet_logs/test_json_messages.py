@@ -14,10 +14,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.strangers import write_texts
-from tunenet_logs.formats.base import RawChannel
-from tunenet_logs.formats.codec import MessageError, UnusableError
-from tunenet_logs.formats.codecs import decoder_for
-from tunenet_logs.formats.kinds import kind_of
+from tunenet_logs.formats.base import MessageError, RawChannel, UnusableError
+from tunenet_logs.formats.message_types import message_type_of
+from tunenet_logs.formats.registry import decoder_for
 from tunenet_logs.reader import read_episode
 
 POINT = {"x": 1, "y": 2.5, "z": -0.1}
@@ -189,7 +188,7 @@ def test_other_schemas_and_types_are_refused():
         decoder_for(channel(schema_encoding="ros2msg"))
     with pytest.raises(UnusableError, match="type"):
         decoder_for(channel("foxglove.Log"))
-    assert kind_of(channel("foxglove.Log")) is None
+    assert message_type_of(channel("foxglove.Log")) is None
 
 
 JSON = st.recursive(
@@ -210,7 +209,7 @@ JSON = st.recursive(
 def test_any_message_gives_only_our_errors(data: st.DataObject):
     for type_name in ("foxglove.PoseInFrame", "sensor_msgs/JointState", "tf2_msgs/msg/TFMessage"):
         one = channel(type_name)
-        kind, decode = kind_of(one), decoder_for(one)
+        kind, decode = message_type_of(one), decoder_for(one)
         assert kind is not None
         text = data.draw(st.one_of(st.binary(max_size=40), JSON.map(json.dumps)))
         try:

@@ -11,9 +11,8 @@ from mcap.writer import Writer
 from tests.strangers import POSE, Stranger, write_poses
 from tunenet_logs.describe import describe
 from tunenet_logs.formats import ros
-from tunenet_logs.formats.base import RawChannel
-from tunenet_logs.formats.codec import UnusableError
-from tunenet_logs.formats.ros import cdr_decoder
+from tunenet_logs.formats.base import RawChannel, UnusableError
+from tunenet_logs.formats.ros import ros_decoder
 from tunenet_logs.messages import encode, pose, typestore
 from tunenet_logs.reader import read_episode
 
@@ -51,18 +50,18 @@ def test_a_definition_is_parsed_once(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(ros._PARSERS, "ros2msg", counted)
     ros._is_same.cache_clear()
     for number in range(100):
-        cdr_decoder(RawChannel(f"/ch{number}", POSE, "cdr", "ros2msg", TEXT))
+        ros_decoder(RawChannel(f"/ch{number}", POSE, "cdr", "ros2msg", TEXT))
     for _ in range(2):
         for text in (b"float64 x", b"\xff"):
             with pytest.raises(UnusableError):
-                cdr_decoder(RawChannel("/ch", POSE, "cdr", "ros2msg", text))
+                ros_decoder(RawChannel("/ch", POSE, "cdr", "ros2msg", text))
     assert calls.count(POSE) == 2
 
 
 def test_a_definition_that_is_far_too_large_is_not_parsed():
     text = TEXT + b"# more\n" * 100_000
     with pytest.raises(UnusableError, match="large"):
-        cdr_decoder(RawChannel("/ch", POSE, "cdr", "ros2msg", text))
+        ros_decoder(RawChannel("/ch", POSE, "cdr", "ros2msg", text))
 
 
 def test_of_thousands_of_channels_those_that_can_be_used_are_shown(tmp_path: Path):

@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from analysis.tuning import Options, tune_log
+from analysis.selection import Options
+from analysis.tuning import tune_log
 from tests.strangers import WRITERS, Stranger
-from tunenet_logs.formats.base import RawChannel
-from tunenet_logs.formats.codec import MessageError, UnusableError
-from tunenet_logs.formats.codecs import decoder_for
+from tunenet_logs.formats.base import MessageError, RawChannel, UnusableError
+from tunenet_logs.formats.registry import decoder_for
 from tunenet_logs.reader import read_episode
 
 POSE = "foxglove.PoseInFrame"

@@ -199,7 +199,7 @@ def test_a_disk_that_cannot_be_read_is_told_from_one_that_is_full(
         yield from (next(records) for _ in range(20))
         raise OSError(errno.EIO, "Input/output error", str(path))
 
-    monkeypatch.setattr("tunenet_logs.recovery.opened", lambda _path: failing)
+    monkeypatch.setattr("tunenet_logs.recovery.open_log", lambda _path: failing)
     with pytest.raises(LogError) as caught:
         recover(long, tmp_path / "b.mcap")
     assert str(caught.value).startswith(f"{long}: cannot be read (Input/output error); copy it")

@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from analysis.tuning import Options, Tuning, tune_log
+from analysis.selection import Options
+from analysis.tuning import tune_log
+from analysis.tuning_result import Tuning
 from tests.conftest import ROOT
 from tests.strangers import Stranger
 from tunenet_logs.episode import EpisodeInfo
 from tunenet_logs.reader import read_episode
-from tunenet_logs.timestamp_correction import on_time
+from tunenet_logs.timestamp_correction import correct_late_stamps
 from tunenet_logs.writer import EpisodeWriter
 
 PERIOD_NS = 16_666_667
@@ -39,15 +41,15 @@ def held_up(stamps_ns: Stamps, first: int, pause_ms: float, apart_us: int = 200)
 def test_a_burst_is_put_where_its_clock_says(first: int, pause_ms: float, jitter_ms: float):
     rng = np.random.default_rng(first)
     taken = CLOCK + np.round(rng.uniform(0, jitter_ms, len(CLOCK)) * 1e6).astype(np.int64)
-    arrivals = on_time(held_up(taken, first, pause_ms))
+    arrivals = correct_late_stamps(held_up(taken, first, pause_ms))
     assert np.abs(arrivals.stamps_ns - CLOCK).max() < 0.3 * PERIOD_NS + jitter_ms * 1e6
     assert np.all(np.diff(arrivals.stamps_ns) > 0)
-    assert "ms late" in arrivals.words("pictures")[0]
+    assert "ms late" in arrivals.warnings("pictures")[0]
     assert len(arrivals.taken_ns) == pytest.approx(pause_ms / 16.7, abs=1.5)
 
 
 def test_a_pause_within_a_burst():
-    arrivals = on_time(held_up(held_up(CLOCK, 60, 150), 66, 180))
+    arrivals = correct_late_stamps(held_up(held_up(CLOCK, 60, 150), 66, 180))
     assert np.abs(arrivals.stamps_ns - CLOCK).max() < 0.3 * PERIOD_NS
 
 
@@ -66,9 +68,9 @@ def test_a_pause_within_a_burst():
     ],
 )
 def test_what_tells_of_no_burst_is_left_as_it_is(stamps: Stamps):
-    arrivals = on_time(stamps)
+    arrivals = correct_late_stamps(stamps)
     assert np.array_equal(arrivals.stamps_ns, stamps)
-    assert not arrivals.words("pictures")
+    assert not arrivals.warnings("pictures")
 
 
 def value(tuning: Tuning) -> float:

@@ -1,12 +1,12 @@
-"""What every container of messages is taken apart into, and what may be lost on the way."""
+"""What every container and every encoding of messages shares: records, losses, errors."""
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 DAMAGED = (
     struct.error,
@@ -24,6 +24,18 @@ DAMAGED = (
 
 class BeyondLimitError(ValueError):
     """A message that may be whole, but is larger than any that is read."""
+
+
+class UnusableError(Exception):
+    """Why no message of a channel can be used; shown by `tunenet-logs info`."""
+
+
+class MessageError(Exception):
+    """Why one message cannot be used; the messages are counted."""
+
+
+Decode = Callable[[bytes | memoryview], Any]
+"""From a message's bytes to an object with its fields. Raises MessageError."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +89,7 @@ class RawAttachment:
 
 
 Record = RawChannel | RawMessage | RawMetadata | RawAttachment
+"""What a container is taken apart into."""
 
 
 @dataclass(frozen=True)

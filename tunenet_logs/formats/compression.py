@@ -1,4 +1,4 @@
-"""Unpacking that never gives more than it was told to expect."""
+"""Unpacking that never gives more than was stated."""
 
 from __future__ import annotations
 
@@ -12,10 +12,17 @@ MAX_PART_BYTES = 128 * 1024 * 1024
 """The most that one part of a log (a chunk, a message) may unpack to."""
 
 _FREE_BYTES = 1024 * 1024 * 1024
+"""What any file may unpack to in all, however small it is."""
+
 _MOST_RATIO = 256
+"""Bytes unpacked for each byte of the file, beyond `_FREE_BYTES`: more than messages pack by."""
+
 _PIECE_BYTES = 64 * 1024
-_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-"""No message of ROS begins like this: its encoding begins with a zero."""
+"""Unpacked at a time of data that is cut, so that what precedes the damage is kept."""
+
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+"""The first bytes of a file, or of a message that a recorder packed by itself, as ROS 2 can. No
+message of ROS begins like this otherwise: its encoding begins with a zero."""
 
 
 class Budget:
@@ -44,13 +51,8 @@ class Budget:
             raise ValueError(f"the log unpacks to more than {_MOST_RATIO} times its size")
 
 
-def is_packed(message: bytes | memoryview) -> bool:
-    """Whether a recorder packed that message by itself, as ROS 2 can."""
-    return message[:4] == _ZSTD_MAGIC
-
-
 def unpack_message(message: bytes | memoryview, budget: Budget) -> bytes | memoryview:
-    """A message that `is_packed`, as it was published.
+    """A message that begins with `ZSTD_MAGIC`, as it was published.
 
     Raises:
         ValueError: it is damaged or too large, or the budget is spent.

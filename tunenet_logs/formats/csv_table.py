@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from itertools import chain, islice
@@ -21,17 +22,18 @@ from tunenet_logs.formats.tables.failures import (
     UnreadableError,
     unreadable,
 )
-from tunenet_logs.formats.tables.header import Table, open_table
-from tunenet_logs.formats.tables.layout import Group, Layout
+from tunenet_logs.formats.tables.header import OpenTable, open_table
+from tunenet_logs.formats.tables.layout import Group, TableLayout
 from tunenet_logs.formats.tables.lines import cells_of
 from tunenet_logs.formats.tables.numbers import Numbers, decimal_of
-from tunenet_logs.formats.tables.samples import Samples
 from tunenet_logs.formats.tables.times import Clock, lacks_zone, power_by_size, says_its_unit
+from tunenet_logs.timestamp_correction import order_samples
 
 _LOOK = 100
 """Rows by which the unit of a time without one is told, and how numbers are written."""
 
 _SLOW_S = 0.5
+"""From row to row; what is sampled more slowly was timed in another unit than seconds, perhaps."""
 
 
 def read_csv(path: Path) -> Episode:
@@ -43,20 +45,22 @@ def read_csv(path: Path) -> Episode:
     """
     try:
         table = open_table(path)
-        rows = _Rows(table)
+        rows = _TableReading(table)
         rows.read()
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror})") from error
     return rows.episode(path)
 
 
-class _Rows:
+class _TableReading:
     """One pass over the rows of a table."""
 
-    def __init__(self, table: Table) -> None:
+    def __init__(self, table: OpenTable) -> None:
         self._table = table
-        self._layout: Layout = table.layout
-        self._samples = [Samples(group, table.layout.header) for group in table.layout.groups]
+        self._layout: TableLayout = table.layout
+        self._samples = [
+            _SignalSamples(group, table.layout.header) for group in table.layout.groups
+        ]
         self._numbers = Numbers(table.layout.separator)
         self._powers: dict[Clock, int] = {}
         self._dated: dict[str, bool] = {}
@@ -93,17 +97,17 @@ class _Rows:
         """How numbers are written, units of times that have none, names of joints."""
         stamps = {one.stamp for one in self._layout.groups if one.stamp is not None}
         clocks = {self._layout.clock, *stamps}
-        used = {one.place for group in self._layout.groups for one in group.used}
-        used.update(place for clock in clocks for place in clock.places)
-        decimal = decimal_of(cells[place] for cells in whole for place in used)
+        used = {one.index for group in self._layout.groups for one in group.used}
+        used.update(index for clock in clocks for index in clock.indices)
+        decimal = decimal_of(cells[index] for cells in whole for index in used)
         separator = self._layout.separator
         self._numbers = Numbers(separator, "" if decimal == separator else decimal)
         for clock in clocks:
-            self._tell(clock, [cells[clock.places[0]] for cells in whole])
+            self._find_unit(clock, [cells[clock.indices[0]] for cells in whole])
         for samples in self._samples:
             samples.columns = _named(samples.group, self._layout, whole)
 
-    def _tell(self, clock: Clock, texts: Sequence[str]) -> None:
+    def _find_unit(self, clock: Clock, texts: Sequence[str]) -> None:
         """The unit of a clock, by the cells of the first rows."""
         numbers: list[str] = []
         for text in texts:
@@ -133,12 +137,12 @@ class _Rows:
 
     def _time(self, clock: Clock, cells: Sequence[str]) -> int:
         texts: list[str] = []
-        for place in clock.places:
+        for index in clock.indices:
             try:
-                texts.append(self._numbers.plain(cells[place]))
+                texts.append(self._numbers.plain(cells[index]))
             except ValueError as why:
-                name = self._layout.header[place]
-                raise unreadable(name, cells[place], why, NUMBER_REMEDY) from None
+                name = self._layout.header[index]
+                raise unreadable(name, cells[index], why, NUMBER_REMEDY) from None
         try:
             return clock.read(texts, self._powers[clock])
         except ValueError:
@@ -189,8 +193,8 @@ class _Rows:
         """Times that may be in another unit than was guessed."""
         clock = self._layout.clock
         rates = [one.rate_hz for one in signals.values() if one.rate_hz]
-        is_told = clock.power is not None or clock.name in self._dated or self._powers[clock]
-        if is_told or not rates or max(rates) > 1 / _SLOW_S:
+        is_known = clock.power is not None or clock.name in self._dated or self._powers[clock]
+        if is_known or not rates or max(rates) > 1 / _SLOW_S:
             return []
         return [
             f"{clock.name!r} names no unit and was taken as seconds, {1 / max(rates):g} from row "
@@ -198,7 +202,64 @@ class _Rows:
         ]
 
 
-def _named(group: Group, layout: Layout, rows: Sequence[Sequence[str]]) -> tuple[str, ...]:
+class _SignalSamples:
+    """What one group of columns has delivered: flat, a table of an hour must fit."""
+
+    def __init__(self, group: Group, header: Sequence[str]) -> None:
+        self.group = group
+        self.columns = group.columns
+        self.stamps = array("q")
+        self.arrivals = array("q")
+        self._header = header
+        self._incomplete = 0
+        self._values = array("d")
+        self._empty = [0.0 if group.needs_all else float("nan")] * len(group.columns)
+
+    def read(self, cells: Sequence[str], numbers: Numbers) -> list[float] | None:
+        """The values of a row; None where it has none, or lacks a coordinate.
+
+        Raises:
+            UnreadableError: what is there is no number.
+        """
+        row = self._empty.copy()
+        missing = 0
+        for one in self.group.used:
+            try:
+                value = numbers.read(cells[one.index])
+            except ValueError as why:
+                name = self._header[one.index]
+                raise unreadable(name, cells[one.index], why, NUMBER_REMEDY) from None
+            row[one.row] = value * one.scale
+            missing += value != value  # noqa: PLR0124 (NaN)
+        if missing == len(self.group.used):
+            return None
+        if missing and self.group.needs_all:
+            self._incomplete += 1
+            return None
+        return row
+
+    def add(self, stamp_ns: int, arrival_ns: int, row: list[float]) -> None:
+        """One more sample."""
+        self.stamps.append(stamp_ns)
+        self.arrivals.append(arrival_ns)
+        self._values.extend(row)
+
+    def signal(self, offset_ns: int) -> tuple[Signal, list[str]]:
+        """The signal, and what was left out or repaired."""
+        arrivals = np.frombuffer(self.arrivals, np.int64) + offset_ns
+        stamps = np.frombuffer(self.stamps, np.int64)
+        values = np.frombuffer(self._values).reshape(-1, len(self.columns))
+        if len(arrivals) < 2:  # too few to tell whether stamps were set
+            stamps = arrivals
+        keep, stamps_ns, notes = order_samples(stamps, arrivals)
+        if self._incomplete:
+            notes.append(f"{self._incomplete} samples without all coordinates were left out")
+        name = self.group.name
+        signal = Signal(name, stamps_ns, values[keep], self.columns, self.group.unit)
+        return signal, [f"{name}: {note}" for note in notes]
+
+
+def _named(group: Group, layout: TableLayout, rows: Sequence[Sequence[str]]) -> tuple[str, ...]:
     """The columns of a signal, those by number under the names that the first row gives."""
     if not rows:
         return group.columns
@@ -211,6 +272,6 @@ def _named(group: Group, layout: Layout, rows: Sequence[Sequence[str]]) -> tuple
     return named if len(set(named)) == len(named) else group.columns
 
 
-def _type(samples: Samples) -> str:
+def _type(samples: _SignalSamples) -> str:
     columns = ", ".join(samples.columns) if len(samples.columns) <= 8 else "joints"
     return f"{columns} [{samples.group.unit}]"

@@ -16,12 +16,21 @@ from tunenet_logs.formats.base import Loss, described
 from tunenet_logs.formats.compression import MAX_PART_BYTES
 
 MAGIC = b"SQLite format 3\0"
+"""How an SQLite file begins."""
 
 _HEADER = struct.Struct(">16xH10xI")  # size of a page (1: 65536), ..., number of pages
 _FIRST, _LAST = 0, 2**63 - 1
-_MOST_PLACES = 1000
+"""Numbers of rows: no recorder writes negative ones, and SQLite has none larger."""
+
+_MOST_DAMAGED_PLACES = 1000
+"""Damaged places that are passed in a table; each costs some queries, and there may be
+millions."""
+
 _SCHEMA = "sqlite_master"
+"""The table of the tables."""
+
 _NUMBER = "_rowid_"
+"""What SQLite calls a row's own number."""
 
 Row = tuple[int, tuple[Any, ...]]
 """A row's own number, and its values, of any type."""
@@ -120,7 +129,7 @@ def _is_cut(path: Path, losses: list[Loss]) -> bool:
 
 def table_of(
     database: sqlite3.Connection, name: str, needed: Sequence[str], more: Sequence[str] = ()
-) -> Table:
+) -> DatabaseTable:
     """A plain table.
 
     Args:
@@ -133,7 +142,7 @@ def table_of(
         NoTableError: there is none, it is no plain one, or it lacks a column.
         DATABASE_ERRORS: the file is damaged.
     """
-    every = Table(_SCHEMA, ("type", "name", "rootpage")).rows(database, [])
+    every = DatabaseTable(_SCHEMA, ("type", "name", "rootpage")).rows(database, [])
     kinds = [
         (kind, root)
         for _, (kind, title, root) in every
@@ -151,11 +160,11 @@ def table_of(
     for one in needed:
         if columns.get(one) != 0:  # a computed one is hidden
             raise NoTableError(f"its table {name!r} has no plain column {one!r}")
-    return Table(name, found)
+    return DatabaseTable(name, found)
 
 
 @dataclass(frozen=True)
-class Table:
+class DatabaseTable:
     """A plain table of some columns. Only names that were written here go into its questions."""
 
     name: str
@@ -169,8 +178,8 @@ class Table:
             losses: the rows that cannot be read.
         """
         columns = ", ".join(self.columns)
-        start, places = _FIRST, 0
-        while start <= _LAST and places < _MOST_PLACES:
+        start, damaged_places = _FIRST, 0
+        while start <= _LAST and damaged_places < _MOST_DAMAGED_PLACES:
             try:
                 for row in self._asked(database, columns, start):
                     start = row[0] + 1
@@ -183,14 +192,14 @@ class Table:
                 start = row[0] + 1
                 yield row
                 continue
-            places += 1
+            damaged_places += 1
             found = self._behind(database, start)
             rows = f"{start} to {found - 1}" if found is not None else f"{start} to the last"
             losses.append(Loss(f"table {self.name}: rows {rows} cannot be read: {why}"))
             if found is None:
                 return
             start = found
-        if places == _MOST_PLACES:
+        if damaged_places == _MOST_DAMAGED_PLACES:
             losses.append(Loss(f"table {self.name}: what follows row {start} was not tried"))
 
     def _asked(

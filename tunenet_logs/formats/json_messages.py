@@ -11,26 +11,41 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from tunenet_logs.formats.base import DAMAGED, RawChannel, described
-from tunenet_logs.formats.codec import Decode, MessageError, UnusableError
-from tunenet_logs.formats.kinds import STAMP_FIELDS
+from tunenet_logs.formats.base import (
+    DAMAGED,
+    Decode,
+    MessageError,
+    RawChannel,
+    UnusableError,
+    described,
+)
+from tunenet_logs.formats.message_types import STAMP_FIELDS
 from tunenet_logs.formats.shapes import Fields, Leaf, Many, Shape, shape_of
 
 _SCHEMAS = ("jsonschema", "")
+"""Schema encodings of JSON; a log may give none."""
+
 _MOST_BYTES = 256 * 1024
+"""Of a message that is no picture: far more than one of many joints or transforms takes."""
+
 _MOST_PICTURE_BYTES = 32 * 1024 * 1024
+"""Of a message with a picture, as base64 or as a list of numbers."""
+
 _MOST_PICTURE_PARTS = 100
 """Of one message: three bytes of it may become an object of ninety, so one as large as a picture
 may have few objects and lists."""
 
 _MOST_DEPTH = 64
+"""Brackets within brackets; the types that are read have a handful, and the parser recurses."""
+
+# How much deeper each byte of a message leads: by one, or back by one.
 _STEPS = np.zeros(256, np.int8)
 _STEPS[list(b"[{")] = 1
 _STEPS[list(b"]}")] = -1
 
 
 def json_decoder(channel: RawChannel) -> Decode:
-    """For JSON; see `codec.Codec`. The schema is not needed: each message is checked by itself."""
+    """Decodes JSON. The schema is not needed: each message is checked by itself."""
     if channel.schema_encoding not in _SCHEMAS:
         raise UnusableError(
             f"schema encoding {channel.schema_encoding[:20]!r} is not read (only jsonschema)"

@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
 
@@ -27,33 +28,35 @@ from tunenet_logs.formats.base import (
 )
 from tunenet_logs.formats.compression import (
     MAX_PART_BYTES,
+    ZSTD_MAGIC,
     Budget,
-    is_packed,
     unpack,
     unpack_message,
     unpack_start,
 )
-from tunenet_logs.formats.mcap_places import (
-    CHUNK,
-    FOOTER,
-    HEAD,
-    MAGIC,
-    Exact,
-    channels_of_summary,
-    described_channel,
-    next_chunk,
-)
+from tunenet_logs.formats.mcap_search import CHUNK, FOOTER, HEAD, MAGIC, next_chunk, summary_records
 
 _DAMAGED = (*DAMAGED, McapError)
+"""What parsing raises on damaged bytes, the mcap library's own errors too."""
+
 _MESSAGE = struct.Struct("<HIQQ")
+"""Of a message: channel, sequence number, receipt and acquisition [ns]."""
+
 _BLOCK_BYTES = 1024 * 1024
+"""Read at a time of a record that is skipped, for its share in the checksum of all data."""
+
+# Which kinds of records say something that is read, by where they stand.
 _USED_IN_CHUNK = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE))
 _USED_IN_SUMMARY = frozenset((Opcode.STATISTICS, Opcode.FOOTER))
 _USED = frozenset(
     (Opcode.CHUNK, Opcode.METADATA, Opcode.ATTACHMENT, Opcode.DATA_END, Opcode.FOOTER)
 ).union(_USED_IN_CHUNK)
-_ZEROS = 64
+
+_ZEROS_BYTES = 64
+"""A cut chunk that ends in so many zeros was never written: a file system leaves them."""
+
 _NO_END = "the end of the file is missing (a recording that did not end?)"
+"""What a killed recorder leaves."""
 
 
 def read_mcap(
@@ -61,10 +64,56 @@ def read_mcap(
 ) -> Iterator[Record]:
     """The records of an MCAP file; see `Container`. Every CRC that the file carries is checked."""
     with open(path, "rb") as file:
-        yield from _Reading(file, losses, topics).records()
+        yield from _McapReading(file, losses, topics).records()
 
 
-class _Reading:
+class _Exact(BytesIO):
+    """Bytes that refuse to be read beyond their end; the library would take what there is."""
+
+    def read(self, size: int | None = -1) -> bytes:
+        """Reads `size` bytes; raises ValueError if there are fewer."""
+        data = super().read(size)
+        if size is not None and len(data) < size:
+            raise ValueError(f"a part of it claims {size} bytes")
+        return data
+
+
+def channels_of_summary(file: BinaryIO, size: int) -> dict[int, RawChannel]:
+    """The channels as a whole summary at the end of the file repeats them, by number.
+
+    Empty where the summary is missing or damaged.
+    """
+    found: dict[int, RawChannel] = {}
+    schemas: dict[int, mcap_records.Schema] = {}
+    try:
+        for opcode, body in summary_records(file, size):
+            stream = ReadDataStream(_Exact(body))
+            if opcode == Opcode.SCHEMA:
+                schema = mcap_records.Schema.read(stream)
+                schemas[schema.id] = schema
+            elif opcode == Opcode.CHANNEL:
+                channel = mcap_records.Channel.read(stream)
+                found[channel.id] = _with_schema(channel, schemas)
+    except (*_DAMAGED, OSError):
+        return {}
+    return found
+
+
+def _with_schema(
+    channel: mcap_records.Channel, schemas: Mapping[int, mcap_records.Schema]
+) -> RawChannel:
+    schema = schemas.get(channel.schema_id)
+    return RawChannel(
+        topic=channel.topic,
+        type_name=schema.name if schema else "",
+        encoding=channel.message_encoding,
+        schema_encoding=schema.encoding if schema else "",
+        schema=schema.data if schema else b"",
+        metadata=channel.metadata,
+    )
+
+
+class _McapReading:
     """One pass over a file."""
 
     def __init__(self, file: BinaryIO, losses: list[Loss], topics: Sequence[str] | None) -> None:
@@ -79,7 +128,7 @@ class _Reading:
         self.crc = 0
         self.messages = 0  # of all topics, as far as they were read
         self.unknown = 0  # of them, those whose channel nothing describes
-        self.told: int | None = None
+        self.stated: int | None = None  # messages, as the summary counts them
         self.is_protected = False
         self.unprotected = False  # whether a message came without a checksum of its chunk
         self.in_summary = False
@@ -95,7 +144,7 @@ class _Reading:
             opcode, length = HEAD.unpack(head)
             behind = at + HEAD.size + length
             if behind > self.size:
-                found = self._next_chunk(at + 1)
+                found = next_chunk(self.file, at + 1, self.size)
                 if found is None:
                     yield from self._cut_record(opcode, at)
                     break
@@ -106,13 +155,20 @@ class _Reading:
                 continue
             yield from self._record(opcode, length, head, at)
             at = behind
-        self._close()
+        if self.ended and not self.is_protected:
+            what = "the log carries no data checksum, so its integrity cannot be vouched for"
+            self.losses.append(Loss(what, harmless=True))
+        if self.unknown:
+            self._lose(f"{self.unknown} messages belong to channels that nothing describes")
+        if self.stated is not None and self.stated > self.messages + self.unknown:
+            missing = self.stated - self.messages - self.unknown
+            self._lose(f"{missing} of {self.stated} messages are missing")
 
     def _cut_record(self, opcode: int, at: int) -> Sequence[Record]:
         """What can be had of a record that the file ends in: the first messages of a chunk."""
         body = memoryview(self.file.read(min(self.size - at, MAX_PART_BYTES)))
         found: list[Record] = []
-        if opcode == Opcode.CHUNK and any(body[-_ZEROS:]):  # a file system may leave zeros
+        if opcode == Opcode.CHUNK and any(body[-_ZEROS_BYTES:]):  # a file system may leave zeros
             with suppress(*_DAMAGED):
                 _, _, stated, _, length = CHUNK.unpack_from(body)
                 start = CHUNK.size + length
@@ -121,7 +177,7 @@ class _Reading:
                 self.budget.spend(most)
                 plain = unpack_start(body[start + 8 :], compression, most)
                 self._walk(memoryview(plain), found)
-        saved = sum(isinstance(one, RawMessage) for one in found)
+        saved = sum(isinstance(record, RawMessage) for record in found)
         what = f"{_NO_END}; its last record is cut"
         if saved:
             what += f" ({saved} messages of it are read, which no checksum covers)"
@@ -133,7 +189,9 @@ class _Reading:
         self.crc = zlib.crc32(head, before)
         used = _USED_IN_SUMMARY if self.in_summary else _USED
         if opcode not in used or length > MAX_PART_BYTES:
-            self._skip(length)
+            rest = length
+            while rest > 0:  # until the file ends
+                rest -= len(self._read(min(rest, _BLOCK_BYTES))) or rest
             if opcode in used:
                 self._lose("a record is too large to be read", at, length)
             return ()
@@ -142,7 +200,13 @@ class _Reading:
             if opcode == Opcode.CHUNK:
                 return self._chunk(memoryview(body))
             if opcode == Opcode.DATA_END:
-                self._check_data(body, before)
+                (stated,) = struct.unpack_from("<I", body)
+                self.is_protected = stated != 0
+                if stated and stated != before:
+                    what = "the checksum of all data is wrong: something before its end was changed"
+                    self.losses.append(Loss(what, taints=self.unprotected))
+                self.crc = 0  # from here on, that of the summary
+                self.in_summary = True
             elif opcode == Opcode.FOOTER:
                 self._check_end(body, zlib.crc32(body[:-4], zlib.crc32(head, before)))
             else:
@@ -156,10 +220,6 @@ class _Reading:
         data = self.file.read(length)
         self.crc = zlib.crc32(data, self.crc)
         return data
-
-    def _skip(self, length: int) -> None:
-        while length > 0:
-            length -= len(self._read(min(length, _BLOCK_BYTES))) or length
 
     def _chunk(self, body: memoryview) -> Sequence[Record]:
         """All records of a chunk; none of one that is damaged.
@@ -214,65 +274,48 @@ class _Reading:
             self._message(body, found)
             self.unprotected = True
             return found
-        stream = ReadDataStream(Exact(body))
+        stream = ReadDataStream(_Exact(body))
         if opcode == Opcode.SCHEMA:
             schema = mcap_records.Schema.read(stream)
             self.schemas.setdefault(schema.id, schema)
         elif opcode == Opcode.CHANNEL:
             channel = mcap_records.Channel.read(stream)
             if channel.id not in self.channels:
-                self.channels[channel.id] = described_channel(channel, self.schemas)
+                self.channels[channel.id] = _with_schema(channel, self.schemas)
                 return (self.channels[channel.id],)
         elif opcode == Opcode.METADATA:
             metadata = mcap_records.Metadata.read(stream)
             return (RawMetadata(metadata.name, metadata.metadata),)
         elif opcode == Opcode.STATISTICS:
-            self.told = mcap_records.Statistics.read(stream).message_count
+            self.stated = mcap_records.Statistics.read(stream).message_count
         elif opcode == Opcode.ATTACHMENT:
-            one = mcap_records.Attachment.read(stream)
-            log_ns, create_ns = one.log_time, one.create_time
-            return (RawAttachment(one.name, one.media_type, one.data, log_ns, create_ns),)
+            file = mcap_records.Attachment.read(stream)
+            log_ns, create_ns = file.log_time, file.create_time
+            return (RawAttachment(file.name, file.media_type, file.data, log_ns, create_ns),)
         return ()
 
     def _message(self, body: memoryview, found: list[Record]) -> None:
         number, sequence, log_ns, publish_ns = _MESSAGE.unpack_from(body)
-        channel = self.channels.get(number) or self._adopted(number, found)
-        if channel is None:
-            self.unknown += 1
-            return
+        channel = self.channels.get(number)
+        if channel is None:  # its description was in a damaged chunk perhaps
+            if self.summary is None:
+                here = self.file.tell()
+                self.summary = channels_of_summary(self.file, self.size)
+                self.file.seek(here)
+            channel = self.summary.get(number)
+            if channel is None:
+                self.unknown += 1
+                return
+            self.channels[number] = channel
+            found.append(channel)
         self.messages += 1
         if self.topics is not None and channel.topic not in self.topics:
             return
         data: bytes | memoryview = body[_MESSAGE.size :]
-        if channel.encoding == "cdr" and is_packed(data):
+        if channel.encoding == "cdr" and data[:4] == ZSTD_MAGIC:
             with suppress(ValueError):  # a damaged one is that message's matter, not the chunk's
                 data = unpack_message(data, self.budget)
         found.append(RawMessage(channel, log_ns, data, publish_ns, sequence))
-
-    def _adopted(self, number: int, found: list[Record]) -> RawChannel | None:
-        """A channel whose description was in a damaged chunk perhaps."""
-        channel = self._channels_of_summary().get(number)
-        if channel is not None:
-            self.channels[number] = channel
-            found.append(channel)
-        return channel
-
-    def _channels_of_summary(self) -> dict[int, RawChannel]:
-        """The channels as the end of the file repeats them; none where that is missing."""
-        if self.summary is None:
-            here = self.file.tell()
-            self.summary = channels_of_summary(self.file, self.size)
-            self.file.seek(here)
-        return self.summary
-
-    def _check_data(self, body: bytes, crc: int) -> None:
-        (stated,) = struct.unpack_from("<I", body)
-        self.is_protected = stated != 0
-        if stated and stated != crc:
-            what = "the checksum of all data is wrong: something before its end was changed"
-            self.losses.append(Loss(what, taints=self.unprotected))
-        self.crc = 0  # from here on, that of the summary
-        self.in_summary = True
 
     def _check_end(self, body: bytes, crc: int) -> None:
         self.ended = True
@@ -285,24 +328,6 @@ class _Reading:
         if end < self.size:
             what = "another log follows" if self.file.read(len(MAGIC)) == MAGIC else "bytes follow"
             self._lose(f"{what} behind the end, which are not read", end, self.size - end)
-
-    def _close(self) -> None:
-        if self.ended and not self.is_protected:
-            what = "the log carries no data checksum, so its integrity cannot be vouched for"
-            self.losses.append(Loss(what, harmless=True))
-        if self.unknown:
-            self._lose(f"{self.unknown} messages belong to channels that nothing describes")
-        if self.told is not None and self.told > self.messages + self.unknown:
-            missing = self.told - self.messages - self.unknown
-            self._lose(f"{missing} of {self.told} messages are missing")
-
-    def _next_chunk(self, start: int) -> int | None:
-        """Where the next chunk begins that looks whole; leaves the file's place as it was."""
-        here = self.file.tell()
-        try:
-            return next_chunk(self.file, start, self.size)
-        finally:
-            self.file.seek(here)
 
     def _lose(self, what: str, at: int | None = None, size: int = 0) -> None:
         self.losses.append(Loss(what, at_byte=at, size=size))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from contextlib import suppress
 from itertools import groupby
 from typing import Any
 
@@ -11,126 +11,122 @@ import numpy as np
 
 from tunenet_logs.episode import Frame
 from tunenet_logs.errors import LogError
-from tunenet_logs.formats.base import DAMAGED, RawChannel, RawMessage, Record
-from tunenet_logs.formats.codec import Decode, MessageError, UnusableError
-from tunenet_logs.formats.codecs import decoder_for
-from tunenet_logs.formats.kinds import Kind, Picture, Pictures, kind_of
+from tunenet_logs.formats.base import (
+    DAMAGED,
+    Decode,
+    MessageError,
+    RawChannel,
+    RawMessage,
+    Record,
+    UnusableError,
+)
+from tunenet_logs.formats.message_types import PictureSample, PictureType, message_type_of
+from tunenet_logs.formats.registry import decoder_for
 from tunenet_logs.formats.video_messages import CODECS, Packet, decoded
 from tunenet_logs.images import MAX_PIXELS, image_format
-from tunenet_logs.pixels import Layout, layout_of
+from tunenet_logs.pixels import PixelFormat, pixel_format_of
 
 
-def frames_of(records: Iterable[Record], topic: str, *, is_told: bool) -> Iterator[Frame]:
+def frames_of(records: Iterable[Record], topic: str, *, trusts_header: bool) -> Iterator[Frame]:
     """The frames among the records of a log, in its order; those that cannot be used are left out.
 
     Args:
         records: of the log, perhaps of that topic alone.
         topic: where the pictures are.
-        is_told: whether their header stamps tell the time, where they are set; else the log's do.
+        trusts_header: whether their header stamps tell the time, where they are set; else the
+            log's do.
     """
-    found = _found_in(records, topic, is_told=is_told)
-    for is_video, group in groupby(found, key=lambda one: one.is_video):
+    found = _found_in(records, topic, trusts_header=trusts_header)
+    for is_video, group in groupby(found, key=lambda each: each[0]):
         if is_video:
             yield from decoded(
-                Packet(one.stamp_ns, one.picture.encoding, bytes(one.picture.data)) for one in group
+                Packet(stamp_ns, picture.encoding, bytes(picture.data))
+                for _, stamp_ns, picture in group
             )
         else:
-            yield from (_frame(one.stamp_ns, one.picture) for one in group)
+            yield from (_frame(stamp_ns, picture) for _, stamp_ns, picture in group)
 
 
-def checked(kind: Kind) -> Callable[[Any], Any]:
-    """How messages of a kind are read, pictures only where a frame can be made of them.
+def checked_pictures(pictures: PictureType) -> Callable[[Any], PictureSample]:
+    """How messages of a type are read as pictures, those only that a frame can be made of.
 
     What is returned raises:
         UnusableError: pictures of that encoding are not read.
         MessageError, or one of DAMAGED: the message is.
     """
-    if not isinstance(kind, Pictures):
-        return kind.read
-    read = kind.read
-    check = _check_video if kind.is_video else _check_picture
 
-    def read_checked(message: Any) -> Picture:
-        picture = read(message)
-        check(picture)
+    def read_checked(message: Any) -> PictureSample:
+        picture = pictures.read(message)
+        if pictures.is_video and picture.encoding not in CODECS:
+            known = ", ".join(CODECS)
+            raise UnusableError(
+                f"video of format {picture.encoding[:24]!r} is not read (only {known})"
+            )
+        if not pictures.is_video and picture.size is not None:
+            _check_pixels(picture, picture.size)
+        elif not pictures.is_video and "compressedDepth" in picture.encoding:
+            raise UnusableError("compressedDepth pictures are distances, not what a camera sees")
         memoryview(picture.data)  # raises TypeError, as what is damaged does
         return picture
 
     return read_checked
 
 
-@dataclass(slots=True)
-class _Found:
-    stamp_ns: int
-    picture: Picture
-    is_video: bool
-
-
-def _found_in(records: Iterable[Record], topic: str, *, is_told: bool) -> Iterator[_Found]:
-    readers: dict[RawChannel, tuple[Decode, Callable[[Any], Picture], bool]] = {}
+def _found_in(
+    records: Iterable[Record], topic: str, *, trusts_header: bool
+) -> Iterator[tuple[bool, int, PictureSample]]:
+    """Whether it is a video's, its stamp [ns], and the picture."""
+    readers: dict[RawChannel, tuple[Decode, Callable[[Any], PictureSample], bool]] = {}
     for record in records:
         if isinstance(record, RawChannel) and record.topic == topic:
-            kind = kind_of(record)
-            if isinstance(kind, Pictures):
-                try:
-                    readers[record] = (decoder_for(record), checked(kind), kind.is_video)
-                except UnusableError:
-                    continue
+            pictures = message_type_of(record)
+            if isinstance(pictures, PictureType):
+                with suppress(UnusableError):
+                    read = checked_pictures(pictures)
+                    readers[record] = (decoder_for(record), read, pictures.is_video)
         elif isinstance(record, RawMessage) and record.channel in readers:
             decode, read, is_video = readers[record.channel]
             try:
                 picture = read(decode(record.data))
             except (MessageError, UnusableError, *DAMAGED):
                 continue
-            stamp_ns = picture.stamp_ns if is_told and picture.stamp_ns else record.log_ns
-            yield _Found(stamp_ns, picture, is_video)
+            stamp_ns = picture.stamp_ns if trusts_header and picture.stamp_ns else record.log_ns
+            yield is_video, stamp_ns, picture
 
 
-def _check_video(picture: Picture) -> None:
-    if picture.encoding not in CODECS:
-        known = ", ".join(CODECS)
-        raise UnusableError(f"video of format {picture.encoding[:24]!r} is not read (only {known})")
-
-
-def _check_picture(picture: Picture) -> None:
-    if picture.size is not None:
-        _check_pixels(picture, picture.size)
-    elif "compressedDepth" in picture.encoding:
-        raise UnusableError("compressedDepth pictures are distances, not what a camera sees")
-
-
-def _check_pixels(picture: Picture, size: tuple[int, int]) -> None:
+def _check_pixels(picture: PictureSample, size: tuple[int, int]) -> None:
     """Whether there are as many bytes as size and step claim."""
     try:
-        layout = layout_of(picture.encoding)
+        form = pixel_format_of(picture.encoding)
     except LogError as error:
         raise UnusableError(str(error)) from error
     width, height = size
-    if width <= 0 or height <= 0 or width % layout.shares[0] or height % layout.shares[1]:
+    across, down = form.color_block_px
+    if width <= 0 or height <= 0 or width % across or height % down:
         raise MessageError(f"no {picture.encoding} picture is of {width} x {height} px")
     if width * height > MAX_PIXELS:
         raise MessageError(f"a picture claims {width} x {height} px")
-    step, rows = _step(picture, width, layout), layout.rows(height)
-    if step < layout.row_bytes(width):
+    step, rows = _step(picture, width, form), form.rows(height)
+    if step < form.row_bytes(width):
         raise MessageError(f"a picture has rows of {width} px in {step} bytes")
     if memoryview(picture.data).nbytes < step * rows:
         raise MessageError(f"a picture has {len(picture.data)} bytes for {rows} rows of {step}")
 
 
-def _step(picture: Picture, width: int, layout: Layout) -> int:
-    return picture.step or layout.row_bytes(width)
+def _step(picture: PictureSample, width: int, form: PixelFormat) -> int:
+    return picture.step or form.row_bytes(width)
 
 
-def _frame(stamp_ns: int, picture: Picture) -> Frame:
+def _frame(stamp_ns: int, picture: PictureSample) -> Frame:
     """A picture that was checked."""
     if picture.size is None:
         data = bytes(picture.data)
         # Senders write "jpeg", "jpg", "rgb8; jpeg compressed bgr8", or what it is not.
         return Frame(stamp_ns, image_format(data) or picture.encoding, data)
-    layout = layout_of(picture.encoding)
+    form = pixel_format_of(picture.encoding)
     width, height = picture.size
-    step, row, rows = _step(picture, width, layout), layout.row_bytes(width), layout.rows(height)
+    step, row, rows = _step(picture, width, form), form.row_bytes(width), form.rows(height)
     pixels = np.frombuffer(picture.data, np.uint8, step * rows).reshape(rows, step)[:, :row]
-    if picture.is_bigendian and layout.sample_bytes == 2:
+    if picture.is_bigendian and form.sample_bytes == 2:
         pixels = np.ascontiguousarray(pixels).view(">u2").astype("<u2")
     return Frame(stamp_ns, picture.encoding, pixels.tobytes(), picture.size)

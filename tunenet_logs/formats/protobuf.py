@@ -7,16 +7,24 @@ from graphlib import TopologicalSorter
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from tunenet_logs.formats.base import DAMAGED, RawChannel, described
-from tunenet_logs.formats.codec import Decode, MessageError, UnusableError
+from tunenet_logs.formats.base import (
+    DAMAGED,
+    Decode,
+    MessageError,
+    RawChannel,
+    UnusableError,
+    described,
+)
 from tunenet_logs.formats.compression import MAX_PART_BYTES
-from tunenet_logs.formats.kinds import STAMP_FIELDS
+from tunenet_logs.formats.message_types import STAMP_FIELDS
 from tunenet_logs.formats.shapes import Fields, Leaf, Many, Shape, shape_of
 
 if TYPE_CHECKING:
     from google.protobuf.descriptor import Descriptor, FieldDescriptor
 
 _MOST_SCHEMA_BYTES = 4 * 1024 * 1024
+"""The descriptors of a type with all that it is made of have some kilobytes."""
+
 _MOST_REPEATED_BYTES = 4 * 1024 * 1024
 """Of a message whose type has lists: two bytes of it may become an object of ninety."""
 
@@ -34,7 +42,11 @@ _WELL_KNOWN = (
 
 
 def protobuf_decoder(channel: RawChannel) -> Decode:
-    """For protobuf; see `codec.Codec`."""
+    """Decodes protobuf by the channel's own schema.
+
+    Raises:
+        UnusableError: the schema is damaged, too large, or not the usual one of its type.
+    """
     if channel.schema_encoding != "protobuf":
         raise UnusableError(
             f"schema encoding {channel.schema_encoding[:20]!r} is not read (only protobuf)"
@@ -76,8 +88,8 @@ def _descriptor(schema: bytes, type_name: str) -> Descriptor:
     from google.protobuf.descriptor_pb2 import FileDescriptorSet
     from google.protobuf.descriptor_pool import DescriptorPool
 
-    files = {one.name: one for one in FileDescriptorSet.FromString(schema).file}
-    needs = {name: set(one.dependency) for name, one in files.items()}
+    files = {file.name: file for file in FileDescriptorSet.FromString(schema).file}
+    needs = {name: set(file.dependency) for name, file in files.items()}
     pool = DescriptorPool()
     for name in TopologicalSorter(needs).static_order():
         serialized = files[name].SerializeToString() if name in files else _well_known(name)
@@ -88,7 +100,7 @@ def _descriptor(schema: bytes, type_name: str) -> Descriptor:
 @cache
 def _own_files() -> dict[str, bytes]:
     modules = (import_module(f"google.protobuf.{name}_pb2") for name in _WELL_KNOWN)
-    return {one.DESCRIPTOR.name: one.DESCRIPTOR.serialized_pb for one in modules}
+    return {module.DESCRIPTOR.name: module.DESCRIPTOR.serialized_pb for module in modules}
 
 
 def _well_known(name: str) -> bytes:
@@ -159,13 +171,15 @@ def _has_lists(top: Descriptor) -> bool:
     seen: set[str] = set()
     waiting = [top]
     while waiting:
-        one = waiting.pop()
-        if one.full_name in seen:
+        descriptor = waiting.pop()
+        if descriptor.full_name in seen:
             continue
-        seen.add(one.full_name)
-        if any(field.is_repeated for field in one.fields):
+        seen.add(descriptor.full_name)
+        if any(field.is_repeated for field in descriptor.fields):
             return True
-        waiting += [field.message_type for field in one.fields if field.message_type is not None]
+        waiting += [
+            field.message_type for field in descriptor.fields if field.message_type is not None
+        ]
     return False
 
 
@@ -181,5 +195,5 @@ def _check_present(message: Any, shape: Fields) -> None:
                 raise ValueError(f"it has no {name}")
             _check_present(getattr(message, name), inner)
         elif isinstance(inner, Many) and isinstance(inner.of, Fields):
-            for one in getattr(message, name):
-                _check_present(one, inner.of)
+            for part in getattr(message, name):
+                _check_present(part, inner.of)

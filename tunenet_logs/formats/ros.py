@@ -6,7 +6,6 @@ wrote.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cache, lru_cache
 from typing import Any
 
@@ -21,9 +20,9 @@ from rosbags.typesys import (
 from rosbags.typesys.store import Typestore
 
 from tunenet_logs import messages
-from tunenet_logs.formats.base import DAMAGED, RawChannel
-from tunenet_logs.formats.codec import Decode, MessageError, UnusableError
+from tunenet_logs.formats.base import DAMAGED, Decode, MessageError, RawChannel, UnusableError
 
+# Foxglove's types as ROS messages; they begin alike.
 _FRAME = "builtin_interfaces/Time timestamp\nstring frame_id\n"
 _TRANSFORM = (
     "builtin_interfaces/Time timestamp\nstring parent_frame_id\nstring child_frame_id\n"
@@ -35,6 +34,8 @@ _PARSERS = {
     "ros1msg": get_types_from_msg,
     "ros2idl": get_types_from_idl,
 }
+"""Parsers of definitions, by schema encoding; they build field lists and run nothing."""
+
 _FOREIGN = {
     "kinova_msgs": dict.fromkeys(
         ("JointAngles", "JointTorque", "JointVelocity"), messages.SEVEN_JOINTS
@@ -51,10 +52,13 @@ _FOREIGN = {
         "uint8[] data",
     },
 }
+"""Types that no distribution of ROS defines: of Kinova's driver, ours, and Foxglove's."""
+
 _MOST_SCHEMA_BYTES = 256 * 1024
 """Of the types that are used, with all that they are made of, none has a tenth of that."""
 
 _SAME_TYPE = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
+"""Old names of types: ROS 1 moved this one to another package."""
 
 
 def ros_name(type_name: str) -> str:
@@ -66,24 +70,36 @@ def ros_name(type_name: str) -> str:
     return _SAME_TYPE.get(full, full)
 
 
-def cdr_decoder(channel: RawChannel) -> Decode:
-    """For ROS 2 CDR; see `codec.Codec`."""
+def ros_decoder(channel: RawChannel) -> Decode:
+    """Decodes ROS 2 CDR, or the serialization of ROS 1, as the channel's encoding says.
+
+    Raises:
+        UnusableError: the channel's own definition of its type is damaged, or lays the type out in
+            another way than ours.
+    """
     name = ros_name(channel.type_name)
-    if channel.schema_encoding:  # a .db3 may say no more than the type's name
-        _check_same(channel, name, _ros2_typestore, ("ros2msg", "ros2idl"))
-    elif name not in _ros2_typestore().types:
-        raise UnusableError("its type is not known here")
-    return _decoder(_ros2_typestore().deserialize_cdr, name)
+    is_ros1 = channel.encoding == "ros1"
+    stores = Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE
+    store = _typestore(stores)
+    if not channel.schema_encoding and not is_ros1:  # a .db3 may give no more than the type's name
+        if name not in store.types:
+            raise UnusableError("its type is not known here")
+    else:
+        encodings = ("ros1msg",) if is_ros1 else ("ros2msg", "ros2idl")
+        if channel.schema_encoding not in encodings:
+            raise UnusableError(
+                f"schema encoding {channel.schema_encoding[:20]!r} is not read "
+                f"(only {', '.join(encodings)})"
+            )
+        if len(channel.schema) > _MOST_SCHEMA_BYTES:
+            raise UnusableError("its schema is too large")
+        is_same = _is_same(channel.schema, channel.schema_encoding, name, stores)
+        if is_same is None:
+            raise UnusableError("its schema is damaged")
+        if not is_same:
+            raise UnusableError(f"its schema is not the usual {channel.type_name}")
+    deserialize = store.deserialize_ros1 if is_ros1 else store.deserialize_cdr
 
-
-def ros1_decoder(channel: RawChannel) -> Decode:
-    """For ROS 1; see `codec.Codec`."""
-    name = ros_name(channel.type_name)
-    _check_same(channel, name, _ros1_typestore, ("ros1msg",))
-    return _decoder(_ros1_typestore().deserialize_ros1, name)
-
-
-def _decoder(deserialize: Callable[[bytes, str], Any], name: str) -> Decode:
     def decode(data: bytes | memoryview) -> Any:
         try:
             return deserialize(data, name)  # type: ignore[arg-type]
@@ -93,56 +109,27 @@ def _decoder(deserialize: Callable[[bytes, str], Any], name: str) -> Decode:
     return decode
 
 
-def _check_same(
-    channel: RawChannel,
-    name: str,
-    store: Callable[[], Typestore],
-    encodings: tuple[str, ...],
-) -> None:
-    """Refuse a log's own definition of a type that lays it out in another way than ours."""
-    if channel.schema_encoding not in encodings:
-        known = ", ".join(encodings)
-        raise UnusableError(
-            f"schema encoding {channel.schema_encoding[:20]!r} is not read (only {known})"
-        )
-    if len(channel.schema) > _MOST_SCHEMA_BYTES:
-        raise UnusableError("its schema is too large")
-    is_same = _is_same(channel.schema, channel.schema_encoding, name, store)
-    if is_same is None:
-        raise UnusableError("its schema is damaged")
-    if not is_same:
-        raise UnusableError(f"its schema is not the usual {channel.type_name}")
-
-
 @lru_cache(maxsize=64)
-def _is_same(
-    schema: bytes, encoding: str, name: str, store: Callable[[], Typestore]
-) -> bool | None:
+def _is_same(schema: bytes, encoding: str, name: str, stores: Stores) -> bool | None:
     """Whether a definition is ours; None for a damaged one. Parsed once for all of its channels."""
     try:
         theirs = _PARSERS[encoding](schema.decode(), name)
     except (TypesysError, *DAMAGED):
         return None
-    ours = store().fielddefs
+    ours = _typestore(stores).fielddefs
     return name in theirs and all(
-        one in ours and list(ours[one][1]) == list(parsed[1]) for one, parsed in theirs.items()
+        inner in ours and list(ours[inner][1]) == list(parsed[1])
+        for inner, parsed in theirs.items()
     )
 
 
 @cache
-def _ros2_typestore() -> Typestore:
-    return _with_foreign(messages.typestore())
-
-
-@cache
-def _ros1_typestore() -> Typestore:
-    store = get_typestore(Stores.ROS1_NOETIC)
-    transforms = "geometry_msgs/TransformStamped[] transforms"
-    store.register(get_types_from_msg(transforms, "tf2_msgs/msg/TFMessage"))
-    return _with_foreign(store)
-
-
-def _with_foreign(store: Typestore) -> Typestore:
+def _typestore(stores: Stores) -> Typestore:
+    """The types that are read: those of a ROS distribution, and `_FOREIGN`."""
+    store = get_typestore(stores)
+    if stores is Stores.ROS1_NOETIC:
+        transforms = "geometry_msgs/TransformStamped[] transforms"
+        store.register(get_types_from_msg(transforms, "tf2_msgs/msg/TFMessage"))
     for package, types in _FOREIGN.items():
         for name, text in types.items():
             store.register(get_types_from_msg(text, f"{package}/msg/{name}"))

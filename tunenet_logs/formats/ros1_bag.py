@@ -33,8 +33,11 @@ from tunenet_logs.formats.ros1_records import (
 )
 
 MAGIC = b"#ROSBAG V"
+"""How a ROS bag begins, before its version."""
 
 _VERSION = b"2.0\n"
+"""The only version that is read; `rosbag filter` rewrites older ones."""
+
 _COUNTED = {INDEX: 12, CHUNK_INFO: 8}
 """Bytes of each entry that such a record counts."""
 
@@ -51,10 +54,10 @@ def read_bag(
                 f"{path}: is a ROS bag of version {shown!r}, only 2.0 is read; "
                 "rewrite it with `rosbag filter OLD.bag NEW.bag True`"
             )
-        yield from _Reading(path, file, losses, topics).records()
+        yield from _BagReading(path, file, losses, topics).records()
 
 
-class _Reading:
+class _BagReading:
     """One pass over a file."""
 
     def __init__(
@@ -69,9 +72,9 @@ class _Reading:
         self.index: dict[int, RawChannel] | None = None
         self.index_at = 0
         self.has_index = False
-        self.chunks_told = 0
+        self.chunks_stated = 0
         self.infos = 0
-        self.told = {INDEX: 0, CHUNK_INFO: 0}  # messages, as either counts them
+        self.stated = {INDEX: 0, CHUNK_INFO: 0}  # messages, as either counts them
         self.messages = 0  # of all topics, as far as they were read
         self.unknown = 0  # of them, those whose connection nothing describes
 
@@ -92,7 +95,16 @@ class _Reading:
             yield from self._record(head, at)
             at = head.end
         self.has_index |= at == self.index_at
-        self._close()
+        if not self.has_index or self.infos < self.chunks_stated:
+            self._lose("the index at the end is missing (a recording that did not end?)")
+        what = "a ROS 1 bag carries no checksum, so its integrity cannot be vouched for"
+        self.losses.append(Loss(what, harmless=True))
+        if self.unknown:
+            self._lose(f"{self.unknown} messages belong to connections that nothing describes")
+        stated = self.stated[CHUNK_INFO] or self.stated[INDEX]
+        missing = stated - self.messages - self.unknown
+        if missing > 0:
+            self._lose(f"{missing} of {stated} messages are missing")
 
     def _record(self, head: Head, at: int) -> Sequence[Record]:
         try:
@@ -105,12 +117,13 @@ class _Reading:
         return ()
 
     def _chunk(self, head: Head, at: int) -> Generator[Record, None, int]:
-        """A chunk's records; gives the place to go on from.
+        """A chunk's records; returns where to go on from.
 
         Raises:
             DAMAGED: its head makes no sense, or it was one chunk too many.
         """
-        stated, compression = head.number(b"size"), _compression(head)
+        stated = head.number(b"size")
+        compression = head.fields[b"compression"].decode("ascii", "replace")
         if compression in ("", "none"):
             # Its records follow as any others do, so that a wrong size of it loses none of them.
             if stated != head.data_bytes:
@@ -139,7 +152,7 @@ class _Reading:
         return head.end
 
     def _inside(self, plain: bytes) -> Generator[Record, None, int]:
-        """The records of an unpacked chunk; gives how many bytes of it belong to none."""
+        """The records of an unpacked chunk; returns how many bytes of it belong to none."""
         at = lost = 0
         while at < len(plain):
             try:
@@ -216,17 +229,17 @@ class _Reading:
                 pairs = memoryview(self.file.data(head)).cast("I")
                 count = sum(pairs[1::2])
                 self.infos += 1
-            self.told[head.op] += count
+            self.stated[head.op] += count
         elif head.op == BAG:
             if head.fields.get(b"encryptor"):
                 raise LogError(f"{self.path}: is encrypted; decrypt it first with `rosbag decrypt`")
             self.index_at = head.number(b"index_pos", 8)
-            self.chunks_told = head.number(b"chunk_count")
+            self.chunks_stated = head.number(b"chunk_count")
         else:
             raise ValueError(f"there is no record of kind {head.op}")
 
     def _past(self, at: int, why: str) -> int:
-        """Behind a place that is no record; the file's end where nothing more is found."""
+        """Where the next record begins, behind what is none; else the file's end."""
         behind = self.file.find(at + 1)
         if behind < self.file.size:
             what = f"{why}; what follows was found again"
@@ -235,24 +248,8 @@ class _Reading:
         self._lose(what, at, behind - at)
         return behind
 
-    def _close(self) -> None:
-        if not self.has_index or self.infos < self.chunks_told:
-            self._lose("the index at the end is missing (a recording that did not end?)")
-        what = "a ROS 1 bag carries no checksum, so its integrity cannot be vouched for"
-        self.losses.append(Loss(what, harmless=True))
-        if self.unknown:
-            self._lose(f"{self.unknown} messages belong to connections that nothing describes")
-        told = self.told[CHUNK_INFO] or self.told[INDEX]
-        missing = told - self.messages - self.unknown
-        if missing > 0:
-            self._lose(f"{missing} of {told} messages are missing")
-
     def _lose(self, what: str, at: int | None = None, size: int = 0) -> None:
         self.losses.append(Loss(what, at_byte=at, size=size))
-
-
-def _compression(head: Head) -> str:
-    return head.fields[b"compression"].decode("ascii", "replace")
 
 
 def _described(head: Head, data: bytes) -> RawChannel:

@@ -14,12 +14,17 @@ MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = range(2, 8)
 """The kinds of records, by the byte that a head's field `op` holds."""
 
 IN_CHUNKS = frozenset((MESSAGE, CONNECTION))
+"""The kinds of records that a chunk may hold."""
 
 MOST_HEAD_BYTES = 64 * 1024
 """A head names a topic at most; what a message is like lies in a record's data."""
 
 U32 = struct.Struct("<I")
+"""A length [bytes], little-endian, as it stands before every head, field and data."""
+
 _FORMATS = {1: "<B", 4: "<I", 8: "<Q"}
+"""Of an unsigned field, by its size [bytes]."""
+
 _NEEDED = {
     MESSAGE: (b"conn", b"time"),
     INDEX: (b"conn", b"count"),
@@ -27,10 +32,20 @@ _NEEDED = {
     CHUNK_INFO: (b"chunk_pos", b"count"),
     CONNECTION: (b"conn", b"topic"),
 }
+"""The fields that a head of each kind must have, to be taken for one behind damage."""
+
 _USUAL_HEAD_BYTES = 256
+"""Read at first for a head; only one with a long topic needs a second reading."""
+
 _FIRST_BLOCK_BYTES = 16 * 1024
+"""Searched at first behind damage; a head is near, mostly."""
+
 _BLOCK_BYTES = 1024 * 1024
+"""Searched at a time later, after blocks that double."""
+
 _MARK = b"\x04\x00\x00\x00op="
+"""A head's field `op` as it is stored: its length (three letters and the value), and its name."""
+
 _LEADS = range(4, 64)
 """How far before its field `op` a head may begin; others write little before it."""
 
@@ -112,7 +127,7 @@ class RecordFile:
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
-        self._search = Search()
+        self._search = RecordSearch()
         self.size = os.fstat(file.fileno()).st_size
 
     def block(self, at: int, length: int) -> bytes:
@@ -155,7 +170,7 @@ class RecordFile:
         """Where the next record begins; the file's end if there is none."""
         length = _FIRST_BLOCK_BYTES
         while start < self.size:
-            block = self.block(start, length + Search.overlap)
+            block = self.block(start, length + RecordSearch.overlap)
             found = self._search.find(block, 0)
             while found is not None:
                 if self._is_whole(start + found):
@@ -176,7 +191,7 @@ class RecordFile:
         return len(plain) if found is None else found
 
 
-class Search:
+class RecordSearch:
     """Looks for the next record behind a damaged one.
 
     Args:
@@ -203,7 +218,7 @@ class Search:
 
 def _is_head(buffer: bytes, at: int, mark: int) -> bool:
     (length,) = U32.unpack_from(buffer, at)
-    if not mark + len(_MARK) < at + U32.size + length <= at + Search.overlap:
+    if not mark + len(_MARK) < at + U32.size + length <= at + RecordSearch.overlap:
         return False
     try:
         head = head_at(buffer, at)

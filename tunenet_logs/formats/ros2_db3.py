@@ -17,13 +17,22 @@ from tunenet_logs.formats.base import (
     Record,
     described,
 )
-from tunenet_logs.formats.compression import Budget, is_packed, unpack_message
-from tunenet_logs.formats.database import DATABASE_ERRORS, NoTableError, Table, opened, table_of
+from tunenet_logs.formats.compression import ZSTD_MAGIC, Budget, unpack_message
+from tunenet_logs.formats.database import (
+    DATABASE_ERRORS,
+    DatabaseTable,
+    NoTableError,
+    opened,
+    table_of,
+)
 
+# Columns of the tables of a ROS 2 bag, as rosbag2 names them.
 _MESSAGES = ("topic_id", "timestamp", "data")
 _TOPICS = ("id", "name", "type", "serialization_format")
 _DEFINITIONS = ("topic_type", "encoding", "encoded_message_definition")
 _SCHEMAS = ("ros2msg", "ros2idl")
+"""Schema encodings that are read; others are as if none were given."""
+
 _MORE = {
     "offered_qos_profiles": "offered_qos_profiles",
     "type_description_hash": "topic_type_hash",
@@ -40,7 +49,7 @@ def read_db3(
             channels = _channels(database, losses)
             table = table_of(database, "messages", _MESSAGES)
             yield from channels.values()
-            reading = _Reading(channels, losses, Budget(path.stat().st_size))
+            reading = _Db3Reading(channels, losses, Budget(path.stat().st_size))
             yield from reading.messages(database, table, topics)
     except (*DATABASE_ERRORS, NoTableError) as error:
         raise LogError(f"{path}: is no ROS 2 bag that can be read: {described(error)}") from error
@@ -48,7 +57,7 @@ def read_db3(
     losses.append(Loss(what, harmless=True))
 
 
-class _Reading:
+class _Db3Reading:
     """One pass over the messages."""
 
     def __init__(
@@ -59,7 +68,7 @@ class _Reading:
         self._budget = budget
 
     def messages(
-        self, database: sqlite3.Connection, table: Table, topics: Sequence[str] | None
+        self, database: sqlite3.Connection, table: DatabaseTable, topics: Sequence[str] | None
     ) -> Iterator[RawMessage]:
         damaged = unknown = seen = last = 0
         first = ""
@@ -85,7 +94,7 @@ class _Reading:
         if unknown:
             self._lose(f"{unknown} messages belong to topics that nothing describes")
 
-    def _only(self, table: Table, topics: Sequence[str] | None) -> Table:
+    def _only(self, table: DatabaseTable, topics: Sequence[str] | None) -> DatabaseTable:
         """The table, with the data of some topics only: that of others is not even loaded."""
         if topics is None:
             return table
@@ -97,7 +106,7 @@ class _Reading:
         if type(log_ns) is not int or type(data) is not bytes:
             raise TypeError("its time is no whole number, or its data no bytes")
         self._budget.spend(len(data))
-        plain = unpack_message(data, self._budget) if is_packed(data) else data
+        plain = unpack_message(data, self._budget) if data[:4] == ZSTD_MAGIC else data
         return RawMessage(channel, log_ns, plain, log_ns)
 
     def _lose(self, what: str) -> None:

@@ -19,10 +19,19 @@ _READERS: dict[str, tuple[bytes, Container]] = {
     ".db3": (DB3_MAGIC, read_db3),
     ".mcap": (MCAP_MAGIC, read_mcap),
 }
+"""By suffix: how such a file begins, and its reader."""
+
 _PACKED = (".db3.zstd", ".mcap.zstd")
+"""Endings of files that rosbag2 compresses as a whole."""
+
 _INDEX = "metadata.yaml"
+"""What rosbag2 writes beside the files when a recording ends."""
+
 _MOST_PARTS = 10_000
+"""Numbers farther apart are no parts of one recording: none is looked for between them."""
+
 _NUMBERED = re.compile(r"(.+)_([0-9]{1,18})", re.DOTALL)
+"""NAME_NUMBER, without the suffix; as many digits as fit 64 bits."""
 
 
 def read_folder(
@@ -38,21 +47,21 @@ def read_folder(
         losses.append(Loss(what, harmless=True))
     losses += _missing_parts(files)
     troubles: list[str] = []
-    told: set[Path] = set()
+    described: set[Path] = set()
     begin = len(losses)
     for file in files:
         lost: list[Loss] = []
         try:
             for record in _records(file, lost, topics):
                 if isinstance(record, RawMetadata) and record.name == INFO_RECORD:
-                    told.add(file)
+                    described.add(file)
                 yield record
         except LogError as error:
             trouble = str(error).removeprefix(f"{file}: ")
             troubles.append(f"{file.name} {trouble}")
             lost.append(Loss(trouble, size=file.stat().st_size))
-        losses += [replace(one, file=file.name) for one in lost]
-        if len(told) > 1:  # our own recordings are one file each
+        losses += [replace(loss, file=file.name) for loss in lost]
+        if len(described) > 1:  # our own recordings are one file each
             raise _several(path, files)
     if len(troubles) == len(files):
         raise LogError(f"{path}: no file in it can be read; {troubles[0]}")
@@ -78,10 +87,10 @@ def _records(file: Path, losses: list[Loss], topics: Sequence[str] | None) -> It
 def _without_repeats(losses: Sequence[Loss]) -> list[Loss]:
     """What is doubtful in the same way in every file is said once, behind what is lost."""
     doubts: dict[str, list[Loss]] = {}
-    for one in losses:
-        if one.harmless:
-            doubts.setdefault(one.what, []).append(one)
-    lost = [one for one in losses if not one.harmless]
+    for loss in losses:
+        if loss.harmless:
+            doubts.setdefault(loss.what, []).append(loss)
+    lost = [loss for loss in losses if not loss.harmless]
     for same in doubts.values():
         first, more = same[0], len(same) - 1
         lost.append(replace(first, file=f"{first.file} and {more} more") if more else first)
@@ -94,14 +103,14 @@ def _files(folder: Path) -> list[Path]:
     Raises:
         LogError: there are none, or they are of several recordings.
     """
-    found = [one for one in folder.iterdir() if one.is_file() and not one.name.startswith(".")]
-    packed = [one.name for one in found if one.name.endswith(_PACKED)]
+    found = [file for file in folder.iterdir() if file.is_file() and not file.name.startswith(".")]
+    packed = [file.name for file in found if file.name.endswith(_PACKED)]
     if packed:
         raise LogError(
             f"{folder}: {min(packed)} is compressed as a whole; "
             "unpack such files first with `zstd -d`"
         )
-    files = [one for one in found if one.suffix in _READERS]
+    files = [file for file in found if file.suffix in _READERS]
     if not files:
         raise LogError(
             f"{folder}: is a directory without the files of a ROS 2 bag (.db3, .mcap); "
@@ -109,11 +118,11 @@ def _files(folder: Path) -> list[Path]:
         )
     if len(files) == 1:
         return files
-    numbered = {one: match for one in files if (match := _NUMBERED.fullmatch(one.stem))}
-    names = {(one.suffix, match[1]) for one, match in numbered.items()}
+    numbered = {file: match for file in files if (match := _NUMBERED.fullmatch(file.stem))}
+    names = {(file.suffix, match[1]) for file, match in numbered.items()}
     if len(numbered) < len(files) or len(names) > 1:
         raise _several(folder, files)
-    return sorted(files, key=lambda one: (int(numbered[one][2]), one.name))
+    return sorted(files, key=lambda file: (int(numbered[file][2]), file.name))
 
 
 def _missing_parts(files: Sequence[Path]) -> list[Loss]:
@@ -128,5 +137,5 @@ def _missing_parts(files: Sequence[Path]) -> list[Loss]:
 
 
 def _several(folder: Path, files: Iterable[Path]) -> LogError:
-    shown = ", ".join(sorted(one.name for one in files)[:2])
+    shown = ", ".join(sorted(file.name for file in files)[:2])
     return LogError(f"{folder}: is a directory with several recordings ({shown}); name one of them")

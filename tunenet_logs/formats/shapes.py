@@ -10,9 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 
-from tunenet_logs.formats.base import RawChannel
-from tunenet_logs.formats.codec import UnusableError
-from tunenet_logs.formats.kinds import type_key
+from tunenet_logs.formats.base import RawChannel, UnusableError
+from tunenet_logs.formats.message_types import type_key
 
 
 class Leaf(Enum):
@@ -42,6 +41,7 @@ class Many:
 
 
 Shape = Leaf | Fields | Many
+"""What a field of a message must be."""
 
 
 def shape_of(channel: RawChannel) -> Fields:
@@ -60,6 +60,7 @@ def _fields(**fields: Shape) -> Fields:
     return Fields(fields)
 
 
+# Parts that several types have.
 _POINT = _fields(x=Leaf.NUMBER, y=Leaf.NUMBER, z=Leaf.NUMBER)
 _POSE = _fields(position=_POINT)
 _HEADER = _fields(stamp=Leaf.TIME)
@@ -125,3 +126,4 @@ _SHAPES: dict[str, Fields] = {
     "foxglove.CompressedVideo": _PICTURE,
     "foxglove.RawImage": Fields({"timestamp": Leaf.TIME, **_PIXELS}),
 }
+"""The fields that are read of each type, by the name that `type_key` gives."""

@@ -28,8 +28,13 @@ _CONTAINERS = "mov,matroska,avi,mpeg,mpegts,flv,ogg,asf,mjpeg,h264,hevc,m4v,gif,
 """Only what holds pictures itself: a playlist could name any other file or host."""
 
 _SLOW_MOTION_TAG = "com.android.capture.fps"
+"""What Android's cameras call the rate at which they filmed."""
+
 _RATES_HZ = (1.0, 100_000.0)
+"""What a camera can film at; a tag beyond it is wrong."""
+
 _SAME_RATE = 1.05
+"""A slow-motion tag below so many times the file's own rate says nothing new."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,11 @@ _MOST_WAITING = 256
 
 
 _MOST_AV1_PARTS = 500
+"""Of a packet that are gone through; encoders write a handful for each picture."""
+
 _MOST_AV1_PICTURES = 8
+"""That begin in a packet: one that is shown, and those never shown that it is made from."""
+
 _AV1_BEGINS_PICTURE = (3, 6)
 """Types of an AV1 packet's parts: OBU_FRAME_HEADER and OBU_FRAME."""
 

@@ -10,8 +10,14 @@ from tunenet_logs.errors import LogError
 from tunenet_logs.output.whole_file import free_bytes
 
 ACTIVE_SUFFIX = ".active"
+"""Behind a log's name while it is written."""
+
 NO_SPACE = (errno.ENOSPC, errno.EDQUOT)
+"""How a full disk, or a user's share of one, says so."""
+
 _READ_ONLY = (errno.EACCES, errno.EPERM, errno.EROFS)
+"""How a folder that cannot be written to says so."""
+
 _GB_FROM_MB = 10_000
 """From so many MB on, a disk is told of in GB."""
 

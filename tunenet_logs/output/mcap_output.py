@@ -28,9 +28,16 @@ from tunenet_logs.output.mcap_summary import MAGIC, McapSummary, bare_ending, by
 from tunenet_logs.output.whole_file import WholeFile
 
 _CHUNK_BYTES = 64 * 1024
+"""Before packing; few enough that a killed recorder loses little, many enough to pack well."""
+
 _MESSAGE = struct.Struct("<BQHIQQ")
+"""A message's record up to its data: kind, length, channel, sequence number, two stamps [ns]."""
+
 _MESSAGE_HEAD_BYTES = _MESSAGE.size - 9
+"""Of that, what the record's length counts: all but kind and length."""
+
 _INDEX = struct.Struct("<BQHI")
+"""A chunk's index of one channel, up to its entries: kind, length, channel, size [bytes]."""
 
 
 class McapOutput:

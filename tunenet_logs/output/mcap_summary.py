@@ -21,6 +21,7 @@ from mcap.records import (
 )
 
 MAGIC = b"\x89MCAP0\r\n"
+"""An MCAP file begins and ends with it."""
 
 
 class McapSummary:

@@ -1,8 +1,7 @@
-"""The video, with the tracked ball, its trail, and the simulated balls over it."""
+"""The video: the tracked ball and its trail, and over them the simulated balls and their path."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -10,115 +9,118 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from analysis.drop.film import FilmedDrop
-from analysis.drop.review.model_path import log_model_path, projected_places
-from analysis.drop.review.story import ReviewData
-from analysis.review.colors import OBSERVED
+from analysis.drop.review.review_data import ReviewData
+from analysis.review.drawing import OBSERVED, Color, at_seconds, screen_radius
 from analysis.review.pictures import reduced, send_pictures
-from analysis.review.sending import at_seconds, screen_radius
 from analysis.tracking.pictures import readable_frames
-from analysis.tuning import Tuning
+from analysis.tuning_result import Tuning
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Frame
 from tunenet_logs.errors import LogError
 
 _TRAIL_S = 0.35
+"""Of the track behind the ball: a bounce's shape can be seen, older bounces are out of the way."""
+
 _CORNERS = 24
+"""Of the polygon that is drawn as a circle."""
+
+_LEAST_RADIUS_PX = 3.0
+"""Of a circle: a smaller one would hide the ball."""
+
 _MOST_BYTES = 48 * 1024 * 1024
+"""Of recorded pictures; more are made smaller, so that the review can be loaded soon."""
+
 _NARROW = 0.6
 """Width over height of a view that has no room for a longer name."""
 
+_IMPACT: Color = (255, 90, 90)
 
-def log_film(stream: rr.RecordingStream, tuning: Tuning, story: ReviewData) -> None:
-    """Send the entities of `film_view`: pictures, track and simulated balls, on the log's time."""
-    film: FilmedDrop = tuning.found.film
+_FEWEST = 4
+"""Samples of a flight, at least, from which its own speed sideways is fitted."""
+
+_FINE = 4
+"""Points of the path for each picture: it is drawn as a curve where pictures are far apart."""
+
+
+def log_film(
+    stream: rr.RecordingStream, tuning: Tuning, data: ReviewData
+) -> tuple[rrb.View, float]:
+    """Send the video with circles around observed and simulated balls, on the log's time.
+
+    Returns:
+        Its view, opened at the ball's way, and that view's width over its height.
+    """
+    film: FilmedDrop = tuning.detection.film
     _log_pictures(stream, tuning, film)
     seconds = film.drop.seconds
-    places = film.track.places_px[film.used]
+    observed = film.track.places_px[film.used]
     radii = film.track.radius_px[film.used]
-    _log_balls(stream, "film/observed", seconds, places, radii, OBSERVED, 1.6)
+    _log_balls(stream, "film/observed", seconds, observed, radii, OBSERVED, 1.6)
     begin = np.searchsorted(seconds, seconds - _TRAIL_S)
-    trails = [places[first : index + 1] for index, first in enumerate(begin)]
+    trails = [observed[first : index + 1] for index, first in enumerate(begin)]
     style = rr.LineStrips2D.from_fields(
         colors=[(*OBSERVED, 150)], radii=screen_radius(0.8), draw_order=8.0
     )
     stream.log("film/trail", style, static=True)
     columns = rr.LineStrips2D.columns(strips=[[trail] for trail in trails])
     stream.send_columns("film/trail", indexes=[at_seconds(seconds)], columns=columns)
-    log_model_path(stream, film, story)
+    _log_path(stream, film, data)
     usual = np.full(len(seconds), float(np.nanmedian(radii)))
-    for k, curve in enumerate(story.simulated):
-        width = 1.8 if k == len(story.simulated) - 1 else 1.0
-        where = projected_places(film, curve, story.drop_height_m, story.impacts_s)
-        _log_balls(stream, f"film/k{k}", seconds, where, usual, curve.color, width)
+    for k, curve in enumerate(data.simulated):
+        width = 1.8 if k == len(data.simulated) - 1 else 1.0
+        heights = np.interp(seconds, curve.seconds, curve.heights_m) / data.drop_height_m
+        positions = film_positions(film, seconds, heights, data.impacts_s)
+        _log_balls(stream, f"film/k{k}", seconds, positions, usual, curve.color, width)
+    return _view(film, observed, len(data.simulated))
 
 
-def film_view(film: FilmedDrop, story: ReviewData) -> rrb.View:
-    """The video under the circles of observed and simulated balls, opened at the ball's way."""
-    (left, right), (top, bottom) = _opened_at(film)
-    name = f"video: observed white, k=0 to {len(story.simulated) - 1} cold to warm"
-    if film_aspect(film) < _NARROW:
-        name = "video"
-    return rrb.Spatial2DView(
-        origin="/film",
-        name=name,
-        visual_bounds=rrb.VisualBounds2D(x_range=(left, right), y_range=(top, bottom)),
-    )
-
-
-def film_aspect(film: FilmedDrop) -> float:
-    """Width over height of what the view opens at."""
-    (left, right), (top, bottom) = _opened_at(film)
-    return (right - left) / (bottom - top)
-
-
-def _opened_at(film: FilmedDrop) -> tuple[tuple[float, float], tuple[float, float]]:
+def _view(film: FilmedDrop, observed_px: Array, count: int) -> tuple[rrb.View, float]:
     """The ball's way with room around it, as wide as it is high where the picture is."""
     size = np.array(film.track.size_px, np.float64)
-    places = film.track.places_px[film.used]
-    low, high = np.nanmin(places, axis=0), np.nanmax(places, axis=0)
+    low, high = np.nanmin(observed_px, axis=0), np.nanmax(observed_px, axis=0)
     half = np.minimum(0.7 * (high - low).max() + 10, size / 2)
     middle = np.clip((low + high) / 2, half, size - half)
-    (left, top), (right, bottom) = middle - half, middle + half
-    return (float(left), float(right)), (float(top), float(bottom))
+    (left, top), (right, bottom) = (middle - half).tolist(), (middle + half).tolist()
+    aspect = (right - left) / (bottom - top)
+    name = f"video: observed white, k=0 to {count - 1} cold to warm"
+    view = rrb.Spatial2DView(
+        origin="/film",
+        name="video" if aspect < _NARROW else name,
+        visual_bounds=rrb.VisualBounds2D(x_range=(left, right), y_range=(top, bottom)),
+    )
+    return view, aspect
 
 
 def _log_balls(
     stream: rr.RecordingStream,
     entity: str,
     seconds: Array,
-    places: Array,
-    radii: Array,
-    colour: tuple[int, int, int],
+    positions_px: Array,
+    radii_px: Array,
+    color: Color,
     width: float,
 ) -> None:
-    """A circle around the ball at each time: a disc would hide it."""
+    """A circle around the ball at each time, of a line `width` wide: a disc would hide it."""
     style = rr.LineStrips2D.from_fields(
-        colors=[colour], radii=screen_radius(width / 2), draw_order=10.0 + width
+        colors=[color], radii=screen_radius(width / 2), draw_order=10.0 + width
     )
     stream.log(entity, style, static=True)
     turns = np.linspace(0, 2 * np.pi, _CORNERS + 1)
     circle = np.column_stack([np.cos(turns), np.sin(turns)])
-    strips = places[:, None] + np.maximum(radii, 3.0)[:, None, None] * circle + 0.5
+    drawn_px = np.maximum(radii_px, _LEAST_RADIUS_PX)
+    # Rerun's (0, 0) is a corner of the first pixel, ours its middle.
+    strips = positions_px[:, None] + drawn_px[:, None, None] * circle + 0.5
     columns = rr.LineStrips2D.columns(strips=[[strip] for strip in strips])
     stream.send_columns(entity, indexes=[at_seconds(seconds)], columns=columns)
 
 
 def _log_pictures(stream: rr.RecordingStream, tuning: Tuning, film: FilmedDrop) -> None:
     """The pictures of the drop as they were recorded; bare pixels, or far too many, reduced."""
-    frames = list(_frames_of(tuning, film))
-    if not frames:
-        return
-    send_pictures(stream, frames, tuning.found.start_ns)
-    scale = film.track.size_px[0] / frames[0].size_px()[0]
-    stream.log("film/picture", rr.Transform3D(scale=scale), static=True)
-
-
-def _frames_of(tuning: Tuning, film: FilmedDrop) -> Iterator[Frame]:
     assert tuning.episode is not None
     stamps = film.track.stamps_ns[film.used]
-    taken_ns = tuning.found.taken_ns
+    taken_ns = tuning.detection.taken_ns
     shown: list[Frame] = []
-    for recorded in readable_frames(tuning.episode, tuning.found.topic):
+    for recorded in readable_frames(tuning.episode, tuning.detection.topic):
         frame = replace(recorded, stamp_ns=taken_ns.get(recorded.stamp_ns, recorded.stamp_ns))
         if not stamps[0] <= frame.stamp_ns <= stamps[-1]:
             continue
@@ -130,4 +132,87 @@ def _frames_of(tuning: Tuning, film: FilmedDrop) -> Iterator[Frame]:
         shown.append(picture)
     if sum(len(frame.data) for frame in shown) > _MOST_BYTES:
         shown = [reduced(frame) for frame in shown]
-    return iter(shown)
+    if shown:
+        send_pictures(stream, shown, tuning.detection.start_ns)
+        scale = film.track.size_px[0] / shown[0].size_px()[0]
+        stream.log("film/picture", rr.Transform3D(scale=scale), static=True)
+
+
+def _log_path(stream: rr.RecordingStream, film: FilmedDrop, data: ReviewData) -> None:
+    """The path of the result through the picture, its impacts, and the latest one's name."""
+    line = rr.LineStrips2D(
+        [model_path(film, data)],
+        colors=[(*data.simulated[-1].color, 170)],
+        radii=screen_radius(0.7),
+        draw_order=6.0,
+    )
+    stream.log("film/path", line, static=True)
+    impacts = data.impacts_s
+    positions = film_positions(film, impacts, np.zeros(len(impacts)), impacts) + 0.5
+    marks = rr.Points2D(positions, colors=[_IMPACT], radii=screen_radius(2.5), draw_order=7.0)
+    stream.log("film/impacts", marks, static=True)
+    latest = rr.Points2D.from_fields(
+        colors=[_IMPACT], radii=screen_radius(4.0), show_labels=True, draw_order=14.0
+    )
+    stream.log("film/impact", latest, static=True)
+    names = [f"bounce {k + 1}" for k in range(len(impacts))]
+    for k, bounce in enumerate(data.bounces[: len(names)]):
+        names[k] += f": {bounce.restitution:.3f}"
+    columns = rr.Points2D.columns(positions=positions, labels=names)
+    nothing_yet = [0] + [1] * len(impacts)
+    index = at_seconds(np.concatenate([film.drop.seconds[:1], impacts]))
+    stream.send_columns("film/impact", indexes=[index], columns=columns.partition(nothing_yet))
+
+
+def model_path(film: FilmedDrop, data: ReviewData) -> Array:
+    """Where the camera would see the result's ball go, with all its impacts, shape (N, 2) [px].
+
+    From the corner of the first pixel, as Rerun counts.
+    """
+    curve, impacts = data.simulated[-1], data.impacts_s
+    count = _FINE * (len(curve.seconds) - 1) + 1
+    fine = np.interp(np.arange(count) / _FINE, np.arange(len(curve.seconds)), curve.seconds)
+    seconds = np.unique(np.concatenate([fine, impacts]))
+    known = np.concatenate([curve.seconds, impacts])
+    order = np.argsort(known, kind="stable")
+    levels = np.concatenate([curve.heights_m, np.zeros(len(impacts))])
+    heights = np.interp(seconds, known[order], levels[order]) / data.drop_height_m
+    return film_positions(film, seconds, heights, impacts) + 0.5
+
+
+def film_positions(
+    film: FilmedDrop, seconds: Array, heights: Array, impacts_s: Array | None = None
+) -> Array:
+    """Where the camera sees a ball that is at these heights.
+
+    The projection knows the image's vertical alone; sideways the ball goes as the observed one: a
+    piecewise linear least-squares fit with one speed, or one for each flight between `impacts_s`.
+
+    Args:
+        film: the drop as it was filmed.
+        seconds: on the log's time, shape (T,) [s].
+        heights: above contact, shape (T,) [drop heights].
+        impacts_s: on the log's time, shape (I,) [s].
+
+    Returns:
+        Positions from the middle of the first pixel, shape (T, 2) [px].
+    """
+    sideways = np.array([film.down_px[1], -film.down_px[0]])
+    observed = film.track.places_px[film.used] @ sideways
+    knots = _knots(film.drop.seconds, np.array([]) if impacts_s is None else impacts_s)
+    hats = np.eye(len(knots))
+    design = np.column_stack([np.interp(film.drop.seconds, knots, hat) for hat in hats])
+    ways, *_ = np.linalg.lstsq(design, observed, rcond=None)
+    across = np.interp(seconds, knots, ways)
+    along = film.projection.positions_px(heights)
+    return np.outer(-along, film.down_px) + np.outer(across, sideways)
+
+
+def _knots(seconds: Array, impacts_s: Array) -> Array:
+    """The impacts between flights of enough samples, and both ends, shape (K,) [s]."""
+    knots = [float(seconds[0])]
+    for at in impacts_s:
+        before = np.count_nonzero((seconds > knots[-1]) & (seconds <= at))
+        if before >= _FEWEST and np.count_nonzero(seconds > at) >= _FEWEST:
+            knots.append(float(at))
+    return np.array([*knots, float(seconds[-1])])

@@ -7,7 +7,7 @@ import numpy as np
 from analysis.estimators.base import Estimator, Problem, Step, Trace
 
 
-class BestVisited:
+class BestVisited(Estimator):
     """Another method's iterates, each judged by its own rollout; the last, unjudged one is left.
 
     Where noise lets a step lead away, the misfit of its rollout says so, and costs nothing: it was

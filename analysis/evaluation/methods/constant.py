@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from analysis.estimators.base import Problem, Step, Trace
+from analysis.estimators.base import Estimator, Problem, Step, Trace
 
 
-class Constant:
+class Constant(Estimator):
     """Answers the same whatever it is shown, without a rollout.
 
     The Mean of the paper's table 2 is given the mean of the test set's targets, which no method
@@ -20,12 +20,7 @@ class Constant:
 
     def __init__(self, value: float, name: str = "mean") -> None:
         self._value = value
-        self._name = name
-
-    @property
-    def name(self) -> str:
-        """See `Estimator.name`."""
-        return self._name
+        self.name = name
 
     def estimate(self, problem: Problem, rollouts: int) -> Trace:  # noqa: ARG002 (needs none)
         """No rollout; see `Estimator.estimate`."""

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from analysis.estimators.base import Problem, Step, Trace
+from analysis.estimators.base import Estimator, Problem, Step, Trace
 from analysis.tunenet.network import Model
 from analysis.tunenet.pairs import PairSet
 
 
-class Direct:
+class Direct(Estimator):
     """The paper's network with its proposed input zeroed, so that its output is the parameter.
 
     "Zeroed" is meant before the scaling. With the raw scaling of the preset `paper-code`, which the

@@ -7,20 +7,21 @@ from typing import Any
 
 import numpy as np
 
-from analysis.estimators.base import Problem, Trace
+from analysis.estimators.base import Estimator, Problem, Trace
 from analysis.estimators.search import Search
 from tunenet_logs.arrays import Array
 
 _BINS = 50
 _SAMPLES = 100
+"""Functions drawn from the process; both as in the TuneNet paper's appendix."""
 
 
-class EntropySearch:
-    """Where is the least error likely to be? Asks the bin that says most about it.
+class EntropySearch(Estimator):
+    """Greedy search by the entropy of where the least error is.
 
     A Gaussian process (RBF kernel and noise, by maximum likelihood) is fitted to the L2 norm of
-    the misfit over the parameter. Functions are drawn from it, noise included; P is the share of
-    them that is smallest in each of 50 bins. The next rollout is at argmin P log P, of the bins
+    the misfit over the parameter. Functions are drawn from it, noise included; P is the fraction
+    of them that is smallest in each of 50 bins. The next rollout is at argmin P log P, of the bins
     with P > 0; the estimate is argmax P. The first rollout is at the initial guess.
 
     The likelihood is climbed from GPy's start (variance, length and noise 1) and from one of little
@@ -33,8 +34,8 @@ class EntropySearch:
             targets*, which no method that has to find them could know. Where they are the same
             there is one bin, which is the answer after the first rollout.
         seed: of its sampling.
-        patience: stops when the estimate has not changed for so many steps in a row; None to go on
-            while there are rollouts.
+        patience: steps in a row without a change of the estimate after which it stops; None to go
+            on while there are rollouts.
         samples: functions drawn.
     """
 
@@ -60,28 +61,29 @@ class EntropySearch:
     def _optimize(self, search: Search, problem: Problem) -> None:
         rng = np.random.default_rng(self._seed)
         bins = np.unique(np.linspace(*self._bins, _BINS))
-        places, errors = [problem.initial], [search.cost(problem.initial)]
+        positions, errors = [problem.initial], [search.cost(problem.initial)]
         last, unchanged = -1, 0
         if len(bins) == 1:
             search.answer(bins)
             return
         while self._patience is None or unchanged < self._patience:
-            share = self._smallest(np.array(places), np.array(errors), bins, rng)
-            best = int(np.argmax(share))
+            probability = self._smallest(np.array(positions), np.array(errors), bins, rng)
+            best = int(np.argmax(probability))
             search.answer(bins[best : best + 1])
             unchanged = unchanged + 1 if best == last else 0
             last = best
-            seen = np.where(share > 0, share, 1.0)
-            entropy = np.where(share > 0, share * np.log2(seen), np.inf)
-            place = bins[[int(np.argmin(entropy))]]
-            places.append(place)
-            errors.append(search.cost(place))
+            is_possible = probability > 0
+            logs = np.log2(np.where(is_possible, probability, 1.0))
+            entropy = np.where(is_possible, probability * logs, np.inf)
+            position = bins[[int(np.argmin(entropy))]]
+            positions.append(position)
+            errors.append(search.cost(position))
 
     def _smallest(
-        self, places: Array, errors: Array, bins: Array, rng: np.random.Generator
+        self, positions: Array, errors: Array, bins: Array, rng: np.random.Generator
     ) -> Array:
-        """P: the share of sampled functions that is smallest in each bin, shape (bins,)."""
-        process = _fitted(places, errors, float(np.ptp(bins)))
+        """P: the fraction of sampled functions that is smallest in each bin, shape (bins,)."""
+        process = _fitted(positions, errors, float(np.ptp(bins)))
         mean, covariance = process.predict(bins[:, None], return_cov=True)
         drawn = rng.multivariate_normal(
             mean, covariance, self._samples, check_valid="ignore", method="eigh"
@@ -89,8 +91,8 @@ class EntropySearch:
         return np.bincount(drawn.argmin(axis=1), minlength=len(bins)) / self._samples
 
 
-def _fitted(places: Array, errors: Array, width: float) -> Any:
-    """The likeliest process given errors, shape (N,), at places, shape (N, 1).
+def _fitted(positions: Array, errors: Array, width: float) -> Any:
+    """The Gaussian process of maximum likelihood for errors, shape (N,), at positions, (N, 1).
 
     From GPy's start alone the likelihood often ends in a maximum where all is noise, so a second
     start has little of it.
@@ -109,5 +111,5 @@ def _fitted(places: Array, errors: Array, width: float) -> Any:
             start = min(max(length, shortest), longest)
             kernel = ConstantKernel(variance, wide) * RBF(start, (shortest, longest))
             kernel += WhiteKernel(noise, wide)
-            fits.append(GaussianProcessRegressor(kernel).fit(places, errors))
+            fits.append(GaussianProcessRegressor(kernel).fit(positions, errors))
     return max(fits, key=lambda fit: fit.log_marginal_likelihood_value_)

@@ -48,9 +48,9 @@ class SbiPosterior:
         import torch
 
         condition = torch.tensor(observation[None], dtype=torch.float32)
-        places = torch.tensor(values[:, None, None], dtype=torch.float32)
+        parameters = torch.tensor(values[:, None, None], dtype=torch.float32)
         with torch.no_grad():
-            logs = self._network.log_prob(places, condition)
+            logs = self._network.log_prob(parameters, condition)
         return logs[:, 0].numpy().astype(np.float64)
 
     @cached_property

@@ -1,4 +1,4 @@
-"""What `tunenet-tune` takes bad drops for, and good ones: their tracks, without pictures."""
+"""Verdicts of `tunenet-tune` on bad drops and on good ones: on their tracks, without pictures."""
 
 from __future__ import annotations
 
@@ -12,21 +12,24 @@ from analysis.evaluation.shots.campaign import draw_trials
 from analysis.evaluation.shots.ground_truth_drop import MISHAPS, drop_of
 from analysis.evaluation.shots.ground_truth_film import film_of, track_of
 from analysis.evaluation.shots.ground_truth_sim import MASS_KG, RADIUS_M
-from analysis.experiment import Selection
+from analysis.evaluation.track_tuning import tune_track
 from analysis.processes import Piece, parallel_map
-from analysis.tuning import Options, tune_track
+from analysis.selection import Options, Selection
 from recorders.simulators.balls import Ball
 from tunenet_logs.progress import Progress
 
 DROPS = 500
+"""Of each kind: a fraction of 1 % has a standard error of .45 %."""
 VERDICTS = ("ok", "suspect", "rejected")
 _PORTION = 5
+"""Drops in a piece of work: few, so that the processes end together."""
+
 _WRONG = 0.02
-"""An error that costs a shot about its room."""
+"""Of restitution: such an error uses up about what the hoop leaves a shot."""
 
 
 @dataclass(frozen=True)
-class Judged:
+class JudgedDrop:
     """A drop.
 
     Attributes:
@@ -43,9 +46,11 @@ class Judged:
 
 @dataclass(frozen=True)
 class AcceptanceRow:
-    """A line of the table: shares of the drops.
+    """A line of the table: fractions of the drops.
 
     Attributes:
+        label: which drops.
+        drops: how many.
         wrong: `ok` and off by more than .02.
     """
 
@@ -66,7 +71,7 @@ class _Portion:
 
 def judged_drops(
     seed: int, count: int, jobs: int | None, progress: Progress
-) -> tuple[tuple[Judged, ...], tuple[Judged, ...]]:
+) -> tuple[tuple[JudgedDrop, ...], tuple[JudgedDrop, ...]]:
     """`count` drops that leave the table, and as many that do not."""
     pieces = [
         Piece(
@@ -79,37 +84,38 @@ def judged_drops(
     ]
     done = parallel_map(_judge, pieces, jobs, progress, ("drops", "drop"))
     half = len(done) // 2
-    return _joined(done[:half]), _joined(done[half:])
+    bad, good = (
+        tuple(drop for part in parts for drop in part) for parts in (done[:half], done[half:])
+    )
+    return bad, good
 
 
-def acceptance_rows(bad: Sequence[Judged], good: Sequence[Judged]) -> tuple[AcceptanceRow, ...]:
+def acceptance_rows(
+    bad: Sequence[JudgedDrop], good: Sequence[JudgedDrop]
+) -> tuple[AcceptanceRow, ...]:
     """All that leave the table, each kind of them, and the good ones."""
-    kinds = [(f"  {name}", [one for one in bad if one.mishap == name]) for name in MISHAPS]
+    kinds = [(f"  {name}", [drop for drop in bad if drop.mishap == name]) for name in MISHAPS]
     return tuple(
         _row(label, drops)
         for label, drops in (
             ("off the table", list(bad)),
             *kinds,
             ("good", list(good)),
-            ("  round balls", [one for one in good if one.is_round]),
-            ("  balls out of round", [one for one in good if not one.is_round]),
+            ("  round balls", [drop for drop in good if drop.is_round]),
+            ("  balls out of round", [drop for drop in good if not drop.is_round]),
         )
         if drops
     )
 
 
-def _joined(parts: list[list[Judged]]) -> tuple[Judged, ...]:
-    return tuple(one for part in parts for one in part)
-
-
-def _row(label: str, drops: list[Judged]) -> AcceptanceRow:
-    told = Counter(one.verdict for one in drops)
-    wrong = sum(one.verdict == "ok" and abs(one.off or 0.0) > _WRONG for one in drops)
-    ok, suspect, rejected = (told[verdict] / len(drops) for verdict in VERDICTS)
+def _row(label: str, drops: list[JudgedDrop]) -> AcceptanceRow:
+    counts = Counter(drop.verdict for drop in drops)
+    wrong = sum(drop.verdict == "ok" and abs(drop.off or 0.0) > _WRONG for drop in drops)
+    ok, suspect, rejected = (counts[verdict] / len(drops) for verdict in VERDICTS)
     return AcceptanceRow(label, len(drops), ok, suspect, rejected, wrong / len(drops))
 
 
-def _judge(portion: _Portion) -> list[Judged]:
+def _judge(portion: _Portion) -> list[JudgedDrop]:
     options = Options(selection=Selection(ball=Ball(2 * RADIUS_M, MASS_KG)))
     judged = []
     for number in portion.numbers:
@@ -122,5 +128,5 @@ def _judge(portion: _Portion) -> list[Judged]:
         off = None
         if tuning.estimate is not None:
             off = float(tuning.estimate[0]) - ball.restitution_at(drop.impact_m_s)
-        judged.append(Judged(mishap, ball.is_round, tuning.verdict, off))
+        judged.append(JudgedDrop(mishap, ball.is_round, tuning.verdict, off))
     return judged

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.evaluation.drop_networks import Effort
+from analysis.evaluation.drop.networks import Effort
 from analysis.evaluation.shots.ground_truth_drop import MISHAPS, drop_of
 from analysis.evaluation.shots.ground_truth_film import DropFilm, film_of, record_film, track_of
 from analysis.evaluation.shots.ground_truth_shot import take_shot
@@ -27,18 +27,22 @@ from analysis.evaluation.shots.paper_policy import papers_restitution, seen_rows
 from analysis.planning.known_ball import KnownBall, read_tuning, told_ball
 from analysis.planning.plan import Plan, plan_shot
 from analysis.processes import Piece, parallel_map
-from analysis.record import to_json
+from analysis.record import record_of
+from analysis.record_json import to_json
+from analysis.selection import Options
 from analysis.tunenet.network import Model
-from analysis.tuning import Options, tune_log
+from analysis.tuning import tune_log
 from recorders.simulators.shot.rig import ShotRig
 from tunenet_logs.outcome import BOUNCE_SHOT, Outcome, write_outcome
 from tunenet_logs.progress import Progress
 
 TRIALS = 60
 LEAVING = 22
-"""Of 60 first drops, as in the paper."""
+"""Of 60 first drops 22 leave the table or the picture, as in the paper."""
 
 MOST_DROPS = 4
+"""A trial's, of our policy: the first one and three more."""
+
 BALLS = {
     "red gel": 0.79,
     "racquetball": 0.74,
@@ -50,8 +54,11 @@ BALLS = {
 """Restitution at 3 m/s."""
 
 _SLOPES = (0.03, 0.12)
+"""p of e ~ v^-p, drawn evenly for each ball."""
+
 _OFF_ROUND = 2
 _OFF_ROUND_DEG = 2.0
+"""So many of the six balls are out of round: their impacts' normals are off by about 2 degrees."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +66,10 @@ class Trial:
     """What is to be done, but for what chance brings.
 
     Attributes:
+        seed: of the campaign.
+        number: of the trial in it, from 0.
+        ball: what is dropped and shot.
+        attempt: number of the trial among those with this ball, from 1.
         mishap: of its first drop.
         leaving: chance of a further drop to have one.
     """
@@ -76,8 +87,8 @@ class Taken:
     """One shot.
 
     Attributes:
-        restitution: it was planned with.
-        height_m: it was let go from.
+        restitution: that it was planned with.
+        height_m: from which the ball was let go.
         success: through the hoop.
         miss_m: from the hoop's centre, negative where it was short of it; None where the ball
             never came down at the hoop's height.
@@ -193,7 +204,7 @@ def _run_trial(work: _Work) -> TrialResult:
 
     cv2.setNumThreads(1)
     start = time.perf_counter()
-    with _place(work.folder) as folder:
+    with _log_folder(work.folder) as folder:
         return _trial(work, folder, start)
 
 
@@ -228,9 +239,9 @@ def _tuned(film: DropFilm, path: Path) -> tuple[str, Path]:
     """Record a film, tune its log; the verdict, and the JSON."""
     record_film(film, path)
     tuning = tune_log(path, Options())
-    told = path.with_suffix(".json")
-    told.write_text(to_json(tuning), "utf-8")
-    return tuning.verdict, told
+    json_path = path.with_suffix(".json")
+    json_path.write_text(to_json(record_of(tuning)), "utf-8")
+    return tuning.verdict, json_path
 
 
 def _papers_shot(work: _Work, film: DropFilm, rig: ShotRig) -> Taken:
@@ -288,7 +299,7 @@ def outcome_of(trial: Trial, ours: Taken | None, chosen: Path | None, last: str)
 
 
 @contextmanager
-def _place(folder: Path | None) -> Iterator[Path]:
+def _log_folder(folder: Path | None) -> Iterator[Path]:
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
         yield folder

@@ -9,10 +9,11 @@ import numpy as np
 
 from analysis.evaluation.shots.ground_truth_shot import ACROSS_SD_M, HEIGHT_SD_M
 from analysis.evaluation.shots.ground_truth_sim import (
+    GRAVITY_M_S2,
     RADIUS_M,
     RATE_HZ,
+    BallPath,
     HiddenBall,
-    Run,
     Vector,
     ground,
     run_ball,
@@ -24,19 +25,28 @@ DROP_M = 0.5
 """How far the robot lets balls fall: about as fast as they will hit the plane."""
 
 HELD_S, FILMED_S = 0.25, 2.6
-"""Before and after the release."""
+"""Filmed before and after the release: the fall takes 0.32 s."""
 
 MISHAPS = ("edge", "rolls off", "out of view")
+"""The ball hits the table's edge first; rolls off the table; or leaves the picture."""
 
 _FAR_M = 100.0
+"""To the edge of a table that no ball leaves."""
+
 _FLOOR_M = -0.75
+"""Below a table of common height."""
+
 _EDGE_DEG = (10.0, 45.0)
-"""The normal of an edge that is hit, from the vertical."""
+"""Range of an edge's normal where the ball hits it, from the vertical."""
 
 _SIDEWAYS = (0.05, 0.25)
-"""Share of the first impact's speed at which a ball that will leave moves sideways."""
+"""Fraction of the first impact's speed at which a ball that will leave moves sideways."""
 
 _AWAY_M_S = (0.25, 1.0)
+"""Sideways speed of a ball that goes out of view."""
+
+_ONE_CONTACT_S = 0.01
+"""Hits that follow each other faster are one contact."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,18 +62,22 @@ class HiddenDrop:
 
     ball: HiddenBall
     mishap: str | None
-    path: Run
+    path: BallPath
     leaves_s: float | None = None
     heading_rad: float = 0.0
 
     def centers_m(self, seconds: Array) -> Array:
-        """Where the ball is at times after the release, over the table, shape (N, 3)."""
+        """Positions of the ball's centre, shape (N, 3) [m], z over the table.
+
+        Args:
+            seconds: after the release, shape (N,).
+        """
         return self.path.at(seconds)
 
     @property
     def impact_m_s(self) -> float:
         """Speed of a fall from that height without air."""
-        return math.sqrt(2 * 9.81 * DROP_M)
+        return math.sqrt(2 * GRAVITY_M_S2 * DROP_M)
 
 
 def drop_of(ball: HiddenBall, mishap: str | None, rng: np.random.Generator) -> HiddenDrop:
@@ -74,7 +88,7 @@ def drop_of(ball: HiddenBall, mishap: str | None, rng: np.random.Generator) -> H
     if mishap == "edge":
         beyond_m = RADIUS_M * math.sin(math.radians(rng.uniform(*_EDGE_DEG)))
         return HiddenDrop(ball, mishap, _run(ball, -beyond_m, heading, rng))
-    first_m_s = math.sqrt(2 * 9.81 * DROP_M)
+    first_m_s = math.sqrt(2 * GRAVITY_M_S2 * DROP_M)
     if mishap == "rolls off":
         speed = float(rng.uniform(*_SIDEWAYS)) * first_m_s
         state = rng.bit_generator.state
@@ -93,10 +107,10 @@ def drop_of(ball: HiddenBall, mishap: str | None, rng: np.random.Generator) -> H
     return HiddenDrop(ball, mishap, path, leaves_s, heading)
 
 
-def impact_seconds(run: Run) -> Array:
-    """When the ball hit something, without what is one contact in several samples."""
+def impact_seconds(run: BallPath) -> Array:
+    """When the ball hit something [s], shape (N,); hits of one contact count once."""
     samples = np.array([sample for _, sample in run.hits])
-    first = np.diff(samples, prepend=-100) > 0.01 * RATE_HZ
+    first = np.diff(samples, prepend=-100) > _ONE_CONTACT_S * RATE_HZ
     return samples[first] / RATE_HZ
 
 
@@ -106,7 +120,7 @@ def _run(
     heading_rad: float,
     rng: np.random.Generator,
     sideways_m_s: float = 0.0,
-) -> Run:
+) -> BallPath:
     off = rng.normal(0.0, 1.0, 3) * (ACROSS_SD_M, ACROSS_SD_M, HEIGHT_SD_M)
     start: Vector = (float(off[0]), float(off[1]), RADIUS_M + DROP_M + float(off[2]))
     speed = (

@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.evaluation.clip_ball import BallLook, add_ball
-from analysis.evaluation.clip_scene import Stage, draw_stage
-from analysis.evaluation.clip_view import View
+from analysis.evaluation.clips.ball import BallLook, add_ball
+from analysis.evaluation.clips.film import SensorNoise
+from analysis.evaluation.clips.scene import Stage, draw_stage
+from analysis.evaluation.clips.view import View
 from analysis.evaluation.shots.ground_truth_drop import DROP_M, FILMED_S, HELD_S, HiddenDrop
 from analysis.evaluation.shots.ground_truth_sim import MASS_KG, RADIUS_M
 from analysis.tracking.track import Track
@@ -36,7 +37,6 @@ _LEAST_SHARE = 0.35
 _MARGIN_PX = 20.0
 _SUBFRAMES = 6
 _QUALITY = 85
-_NOISE_PICTURES = 3
 _LEAST_CONTRAST = 35.0
 _COLOURS = {
     "red gel": (205, 40, 50),
@@ -175,7 +175,7 @@ def _turned_away(view: View, drop: HiddenDrop) -> View:
 def _frames(film: DropFilm) -> Iterator[Picture]:
     rng = np.random.default_rng(film.seed)
     stage, look = _room(film, rng)
-    noise = _Noise(rng)
+    noise = SensorNoise(rng, SIZE_PX, NOISE)
     offsets = ((np.arange(_SUBFRAMES) + 0.5) / _SUBFRAMES - 0.5) * EXPOSURE_S
     seconds = film.seconds
     centers = film.drop.centers_m((seconds[:, None] + offsets).ravel())
@@ -185,7 +185,7 @@ def _frames(film: DropFilm) -> Iterator[Picture]:
         moves = np.linalg.norm(places[-1] - places[0]) > 5e-4
         shown = places if moves else places[:1]
         add_ball(frame, film.view, stage, above[int(places[0, 2] < 0)], shown)
-        yield noise.on(frame)
+        yield noise.added_to(frame)
 
 
 def _room(film: DropFilm, rng: np.random.Generator) -> tuple[Stage, BallLook]:
@@ -213,24 +213,3 @@ def _room(film: DropFilm, rng: np.random.Generator) -> tuple[Stage, BallLook]:
         mean = np.array(colour) * (look.ambient + 0.5 * (1 - look.ambient))
         if np.quantile(np.abs(behind - mean).max(axis=1), 0.15) > _LEAST_CONTRAST:
             return stage, look
-
-
-class _Noise:
-    """A few noise pictures, each time from another corner."""
-
-    def __init__(self, rng: np.random.Generator) -> None:
-        self._rng = rng
-        width, height = SIZE_PX
-        shape = (height + 64, width + 64, 3)
-        self._pictures = [
-            np.round(rng.standard_normal(shape, np.float32) * NOISE).astype(np.int16)
-            for _ in range(_NOISE_PICTURES)
-        ]
-
-    def on(self, frame: Picture) -> Picture:
-        import cv2
-
-        picture = self._pictures[int(self._rng.integers(_NOISE_PICTURES))]
-        top, left = self._rng.integers(64, size=2)
-        noise = picture[top : top + SIZE_PX[1], left : left + SIZE_PX[0]]
-        return np.asarray(cv2.add(frame, noise, dtype=cv2.CV_8U), np.uint8)

@@ -19,8 +19,13 @@ from recorders.simulators.shot.rig import ShotRig
 
 ACROSS_SD_M = 0.0015
 HEIGHT_SD_M = 0.002
+"""Standard deviations of a robot's release, along each horizontal axis and in height."""
+
 _RIM_RESTITUTION = 0.55
+"""Of any ball on the hoop's rim: less lively than on the plane."""
+
 _LONGEST_S = 4.0
+"""After which a shot is over: the ball is below the hoop long before."""
 
 
 @dataclass(frozen=True)
@@ -69,11 +74,11 @@ def take_shot(
 
 
 def _down_through(positions_m: np.ndarray, level_m: float) -> list[tuple[float, float]]:
-    """Where a path comes down through a level."""
+    """Points (x, y) [m] where a path, shape (T, 3), comes down through a level."""
     heights = positions_m[:, 2]
     found = []
     for row in np.flatnonzero((heights[:-1] >= level_m) & (heights[1:] < level_m)).tolist():
-        share = (heights[row] - level_m) / (heights[row] - heights[row + 1])
-        x, y, _ = positions_m[row] + share * (positions_m[row + 1] - positions_m[row])
+        fraction = (heights[row] - level_m) / (heights[row] - heights[row + 1])
+        x, y, _ = positions_m[row] + fraction * (positions_m[row + 1] - positions_m[row])
         found.append((float(x), float(y)))
     return found

@@ -20,19 +20,32 @@ from tunenet_logs.arrays import Array
 Vector = tuple[float, float, float]
 
 RATE_HZ = 960.0
+"""Of steps: a ball at 5 m/s goes 5 mm in one, a sixth of its radius."""
+
 GRAVITY_M_S2 = 9.81
 RADIUS_M = 0.03
 MASS_KG = 0.040
 FRICTION = 0.25
+"""Of every ball: about a racquetball's size and mass; Coulomb's coefficient at all that it hits."""
+
 _AIR_KG_M3 = 1.2
 _DRAG_COEFFICIENT = 0.47
 DRAG_1_M = 0.5 * _AIR_KG_M3 * _DRAG_COEFFICIENT * math.pi * RADIUS_M**2 / MASS_KG
 _SPEED_M_S = 3.0
-"""At which a ball's restitution is told."""
+"""Impact speed to which `HiddenBall.restitution` belongs."""
 
 _LIVELIEST = 0.95
+"""Restitution of the slowest impacts: the power law alone would pass 1."""
+
 _AT_REST_M_S = 0.03
+"""Slower impacts give no rebound: a ball comes to rest."""
+
+_LEAST_OUT_M_S = 0.003
+"""Along the normal after an impact, so that the next step does not start inside."""
+
 _HALVINGS = 40
+"""Bisections of a step that find a contact: 1 / 960 s over 2^40 is 1e-15 s."""
+
 _MOST_IMPACTS = 8
 """In one step; then the ball stays where it is until the next."""
 
@@ -61,8 +74,8 @@ class HiddenBall:
 
     def restitution_at(self, speed_m_s: float) -> float:
         """At an impact of this speed along the normal."""
-        share = max(speed_m_s, _AT_REST_M_S) / _SPEED_M_S
-        return min(self.restitution * share**-self.slope, _LIVELIEST)
+        ratio = max(speed_m_s, _AT_REST_M_S) / _SPEED_M_S
+        return min(self.restitution * ratio**-self.slope, _LIVELIEST)
 
 
 @dataclass(frozen=True)
@@ -81,7 +94,7 @@ class Obstacle:
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class BallPath:
     """What a ball did.
 
     Attributes:
@@ -93,7 +106,7 @@ class Run:
     hits: tuple[tuple[int, int], ...]
 
     def at(self, seconds: Array) -> Array:
-        """Where it is at times after its release, shape (N, 3); where it started before."""
+        """Positions at `seconds` after its release, shape (N, 3) [m]; where it started before."""
         clock = np.arange(len(self.positions_m)) / RATE_HZ
         return np.column_stack([np.interp(seconds, clock, axis) for axis in self.positions_m.T])
 
@@ -106,26 +119,26 @@ def run_ball(
     rng: np.random.Generator,
     velocity_m_s: Vector = (0.0, 0.0, 0.0),
     is_over: Callable[[Vector], bool] | None = None,
-) -> Run:
+) -> BallPath:
     """Let a ball go and follow it for `seconds`, or until `is_over`."""
-    place, speed, spin = start_m, velocity_m_s, (0.0, 0.0, 0.0)
-    places, hits = [place], []
+    position, velocity, spin = start_m, velocity_m_s, (0.0, 0.0, 0.0)
+    positions, hits = [position], []
     for sample in range(1, int(seconds * RATE_HZ) + 1):
-        left = 1 / RATE_HZ
+        remaining_s = 1 / RATE_HZ
         for _ in range(_MOST_IMPACTS):
-            end, faster = _flown(place, speed, left)
-            hit, used = _first_hit(place, speed, left, end, obstacles)
+            end, end_velocity = _flown(position, velocity, remaining_s)
+            hit, used_s = _first_hit(position, velocity, remaining_s, end, obstacles)
             if hit < 0:
-                place, speed = end, faster
+                position, velocity = end, end_velocity
                 break
-            place, speed = _flown(place, speed, used)
-            speed, spin = _impact(ball, obstacles[hit], place, speed, spin, rng)
+            position, velocity = _flown(position, velocity, used_s)
+            velocity, spin = _impact(ball, obstacles[hit], position, velocity, spin, rng)
             hits.append((hit, sample))
-            left -= used
-        places.append(place)
-        if is_over is not None and is_over(place):
+            remaining_s -= used_s
+        positions.append(position)
+        if is_over is not None and is_over(position):
             break
-    return Run(np.array(places), tuple(hits))
+    return BallPath(np.array(positions), tuple(hits))
 
 
 def ground(height_m: float) -> Obstacle:
@@ -172,8 +185,8 @@ def ring(center_m: Vector, ring_m: float, rod_m: float, restitution: float) -> O
     def from_rod(center: Vector) -> tuple[float, float, float, float]:
         x, y = center[0] - center_m[0], center[1] - center_m[1]
         across = math.hypot(x, y) or 1e-12
-        share = 1 - ring_m / across
-        return x * share, y * share, center[2] - center_m[2], across
+        outward = 1 - ring_m / across
+        return x * outward, y * outward, center[2] - center_m[2], across
 
     def gap(center: Vector) -> float:
         x, y, z, _ = from_rod(center)
@@ -187,33 +200,38 @@ def ring(center_m: Vector, ring_m: float, rod_m: float, restitution: float) -> O
     return Obstacle(gap, normal, restitution)
 
 
-def _flown(place: Vector, speed: Vector, seconds: float) -> tuple[Vector, Vector]:
-    """A midpoint step."""
-    x, y, z = speed
+def _flown(position: Vector, velocity: Vector, seconds: float) -> tuple[Vector, Vector]:
+    """Position and velocity after one step of the midpoint rule (Runge-Kutta of second order)."""
+    x, y, z = velocity
     slow = DRAG_1_M * math.sqrt(x * x + y * y + z * z)
     half = seconds / 2
     mx, my, mz = x - half * slow * x, y - half * slow * y, z - half * (GRAVITY_M_S2 + slow * z)
     slow = DRAG_1_M * math.sqrt(mx * mx + my * my + mz * mz)
-    faster = (
+    after = (
         x - seconds * slow * mx,
         y - seconds * slow * my,
         z - seconds * (GRAVITY_M_S2 + slow * mz),
     )
-    return (place[0] + seconds * mx, place[1] + seconds * my, place[2] + seconds * mz), faster
+    x, y, z = position
+    return (x + seconds * mx, y + seconds * my, z + seconds * mz), after
 
 
 def _first_hit(
-    place: Vector, speed: Vector, left: float, end: Vector, obstacles: Sequence[Obstacle]
+    position: Vector,
+    velocity: Vector,
+    seconds: float,
+    end: Vector,
+    obstacles: Sequence[Obstacle],
 ) -> tuple[int, float]:
-    """Which obstacle a step ends in, and after how long it touches; -1 for none."""
+    """Which obstacle a step ends in, and after how long it touches (bisection); -1 for none."""
     found, soonest = -1, math.inf
-    for index, one in enumerate(obstacles):
-        if one.gap(end) >= 0:
+    for index, obstacle in enumerate(obstacles):
+        if obstacle.gap(end) >= 0:
             continue
-        low, high = 0.0, left
+        low, high = 0.0, seconds
         for _ in range(_HALVINGS):
             middle = (low + high) / 2
-            if one.gap(_flown(place, speed, middle)[0]) >= 0:
+            if obstacle.gap(_flown(position, velocity, middle)[0]) >= 0:
                 low = middle
             else:
                 high = middle
@@ -225,20 +243,20 @@ def _first_hit(
 def _impact(
     ball: HiddenBall,
     obstacle: Obstacle,
-    place: Vector,
-    speed: Vector,
+    position: Vector,
+    velocity: Vector,
     spin: Vector,
     rng: np.random.Generator,
 ) -> tuple[Vector, Vector]:
-    """Velocity and spin after an impact."""
-    true_normal = obstacle.normal(place)
+    """Velocity and spin after an impact with Coulomb friction, of a solid sphere."""
+    true_normal = obstacle.normal(position)
     normal = true_normal if ball.is_round else _tilted(true_normal, ball.off_round_deg, rng)
     arm = (-RADIUS_M * normal[0], -RADIUS_M * normal[1], -RADIUS_M * normal[2])
     turning = _cross(spin, arm)
-    touching = (speed[0] + turning[0], speed[1] + turning[1], speed[2] + turning[2])
+    touching = (velocity[0] + turning[0], velocity[1] + turning[1], velocity[2] + turning[2])
     inward = -_dot(touching, normal)
     if inward <= 0:
-        return _kept_out(speed, true_normal), spin
+        return _kept_out(velocity, true_normal), spin
     kept = ball.restitution_at(inward) if obstacle.restitution is None else obstacle.restitution
     if inward < _AT_REST_M_S:
         kept = 0.0
@@ -248,20 +266,23 @@ def _impact(
     grip = min(FRICTION * push, slipping / 3.5) / slipping if slipping > 1e-9 else 0.0
     kick = tuple(push * normal[i] - grip * slip[i] for i in range(3))
     twist = _cross(arm, (kick[0], kick[1], kick[2]))
-    share = 1 / (0.4 * RADIUS_M**2)
-    after = (speed[0] + kick[0], speed[1] + kick[1], speed[2] + kick[2])
-    turned = (spin[0] + share * twist[0], spin[1] + share * twist[1], spin[2] + share * twist[2])
+    per_inertia = 1 / (0.4 * RADIUS_M**2)  # of a unit mass
+    after = (velocity[0] + kick[0], velocity[1] + kick[1], velocity[2] + kick[2])
+    turned = (
+        spin[0] + per_inertia * twist[0],
+        spin[1] + per_inertia * twist[1],
+        spin[2] + per_inertia * twist[2],
+    )
     return _kept_out(after, true_normal), turned
 
 
-def _kept_out(speed: Vector, normal: Vector) -> Vector:
+def _kept_out(velocity: Vector, normal: Vector) -> Vector:
     """No ball leaves into what it hit."""
-    out = _dot(speed, normal)
-    least = 0.003
-    if out >= least:
-        return speed
-    more = least - out
-    return speed[0] + more * normal[0], speed[1] + more * normal[1], speed[2] + more * normal[2]
+    x, y, z = velocity
+    more = _LEAST_OUT_M_S - _dot(velocity, normal)
+    if more <= 0:
+        return velocity
+    return x + more * normal[0], y + more * normal[1], z + more * normal[2]
 
 
 def _tilted(normal: Vector, sd_deg: float, rng: np.random.Generator) -> Vector:

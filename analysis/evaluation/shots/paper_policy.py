@@ -18,10 +18,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from analysis.drop.presets import PAPERS_CODE
-from analysis.estimators.base import Problem
-from analysis.estimators.observation import Observation
+from analysis.estimators.base import Observation, Problem
 from analysis.estimators.tunenet import TuneNet
-from analysis.evaluation.drop_networks import Effort
+from analysis.evaluation.drop.networks import Effort
 from analysis.evaluation.shots.ground_truth_drop import DROP_M, FILMED_S, HELD_S
 from analysis.evaluation.shots.ground_truth_film import (
     FRAME_HZ,
@@ -34,7 +33,7 @@ from analysis.tracking.track import Track
 from analysis.tunenet.network import Model, PaperNetwork
 from analysis.tunenet.pairs import PairSet, consecutive_pairs
 from recorders.simulators.base import Parameter
-from recorders.simulators.bounce import Bounce
+from recorders.simulators.closed_form.bounce import Bounce
 from recorders.simulators.drop import RESTITUTION, TOPIC
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
@@ -42,17 +41,21 @@ from tunenet_logs.progress import Progress
 
 SAMPLES = 400
 ITERATIONS = 5
-RESTITUTIONS = (0.4, 0.95)
 _PAIRS = 800
-_HEIGHTS_M = (DROP_M * 8 / 9, DROP_M * 10 / 9)
-"""As wide as the paper's 4 to 5 m."""
+"""The paper's: frames of a drop, rollouts spent on a target (K), pairs learnt from."""
+
+RESTITUTIONS = (0.4, 0.95)
+"""Drawn evenly for training: those of the hidden balls are within."""
+
+_DROP_HEIGHTS_M = (DROP_M * 8 / 9, DROP_M * 10 / 9)
+"""Ends in a ratio of 4 to 5, as the paper's 4 to 5 m."""
 
 
 @dataclass(frozen=True)
-class _Plan:
-    """A drop to simulate; with a seed it is filmed."""
+class _TrainingDrop:
+    """A drop to learn from; with a seed it is filmed by a camera that the seed draws."""
 
-    gap_m: float
+    drop_height_m: float
     restitution: float
     seed: int | None = None
 
@@ -62,26 +65,26 @@ def train_papers(seed: int, progress: Progress, effort: Effort) -> Model:
     from analysis.tunenet.training import train
 
     rng = np.random.default_rng(seed)
-    plans: list[_Plan] = []
+    drops: list[_TrainingDrop] = []
     pairs_count = effort.pairs or _PAIRS
     for _ in range(pairs_count):
-        gap_m = float(rng.uniform(*_HEIGHTS_M))
-        plans.append(_Plan(gap_m, float(rng.uniform(*RESTITUTIONS))))
+        height_m = float(rng.uniform(*_DROP_HEIGHTS_M))
+        drops.append(_TrainingDrop(height_m, float(rng.uniform(*RESTITUTIONS))))
         value, camera = float(rng.uniform(*RESTITUTIONS)), int(rng.integers(2**62))
-        plans.append(_Plan(gap_m, value, camera))
-    observations = _observe(plans)
-    values = np.array([[plan.restitution] for plan in plans])
+        drops.append(_TrainingDrop(height_m, value, camera))
+    observations = _observe(drops)
+    values = np.array([[drop.restitution] for drop in drops])
     pairs = PairSet(observations, values, *consecutive_pairs(pairs_count))
     recipe = replace(PAPERS_CODE, epochs=effort.epochs or PAPERS_CODE.epochs)
     return train(PaperNetwork(), pairs, recipe, seed, progress)
 
 
 def papers_restitution(model: Model, rows: Array) -> float:
-    """What the paper's policy shoots with: K = 5 from 0, within [0, 1].
+    """The restitution that the paper's policy plans with: K = 5, clipped to [0, 1].
 
     Args:
         model: its network.
-        rows: y of the picture, shape (400,).
+        rows: y of the ball [picture heights], shape (400,); see `seen_rows`.
     """
     target = Observation(rows[:, None], _axis(), "time [s]", ("y [picture heights]",))
     problem = Problem(target, _AirDrop(DROP_M), _heights, np.array([RESTITUTION.initial]))
@@ -90,7 +93,7 @@ def papers_restitution(model: Model, rows: Array) -> float:
 
 
 def seen_rows(track: Track) -> Array:
-    """The ball's y in the picture from its release on, 0 to 1; as last seen where it is not.
+    """The ball's y [picture heights] from its release on; interpolated where it was not seen.
 
     Returns:
         Shape (400,).
@@ -103,15 +106,15 @@ def seen_rows(track: Track) -> Array:
     return np.interp(_axis(), seconds[known], rows[known])
 
 
-def _observe(plans: Sequence[_Plan]) -> Array:
-    """Z of a simulation, or y of a filmed one, shape (N, 400, 1)."""
+def _observe(drops: Sequence[_TrainingDrop]) -> Array:
+    """Z of simulations [drop heights], y of filmed ones [picture heights], shape (N, 400, 1)."""
     curves = []
-    for plan in plans:
-        episode = _AirDrop(plan.gap_m).rollout({RESTITUTION.name: plan.restitution})
-        if plan.seed is None:
+    for drop in drops:
+        episode = _AirDrop(drop.drop_height_m).rollout({RESTITUTION.name: drop.restitution})
+        if drop.seed is None:
             curves.append(_heights(episode).values)
             continue
-        rng = np.random.default_rng(plan.seed)
+        rng = np.random.default_rng(drop.seed)
         view = random_view(rng)
         rows = view.image_from_world(episode.signals[TOPIC].values)[:, 1]
         rows += rng.normal(0.0, TRACK_NOISE_PX, SAMPLES)
@@ -124,18 +127,21 @@ class _AirDrop:
     """A drop with the air's drag, in closed form; see `Simulator`."""
 
     parameters: tuple[Parameter, ...] = (RESTITUTION,)
+    engine = "a bounce in closed form"
+    step_hz = FRAME_HZ
 
-    def __init__(self, gap_m: float) -> None:
-        self._gap_m = gap_m
+    def __init__(self, drop_height_m: float) -> None:
+        self._drop_height_m = drop_height_m
 
     def rollout(self, values: Mapping[str, float]) -> Episode:
         """See `Simulator.rollout`."""
-        bounce = Bounce(values[RESTITUTION.name], drag=DRAG_1_M * self._gap_m)
-        fall_s = math.sqrt(2 * self._gap_m / GRAVITY_M_S2)
-        heights = RADIUS_M + self._gap_m * bounce.heights(_axis() / fall_s - bounce.fall_time)
-        places = np.column_stack([np.zeros((SAMPLES, 2)), heights])
+        height_m = self._drop_height_m
+        bounce = Bounce(values[RESTITUTION.name], drag=DRAG_1_M * height_m)
+        fall_s = math.sqrt(2 * height_m / GRAVITY_M_S2)
+        heights_m = RADIUS_M + height_m * bounce.heights(_axis() / fall_s - bounce.fall_time)
+        positions_m = np.column_stack([np.zeros((SAMPLES, 2)), heights_m])
         stamps_ns = np.round(_axis() * 1e9).astype(np.int64)
-        ball = Signal(TOPIC, stamps_ns, places, ("x", "y", "z"), "m")
+        ball = Signal(TOPIC, stamps_ns, positions_m, ("x", "y", "z"), "m")
         return Episode(EpisodeInfo(kind="drop"), {TOPIC: ball})
 
 
@@ -145,4 +151,5 @@ def _heights(episode: Episode) -> Observation:
 
 
 def _axis() -> Array:
+    """Of the observations [s], shape (400,)."""
     return np.arange(SAMPLES) / FRAME_HZ

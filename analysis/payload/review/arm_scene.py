@@ -9,12 +9,11 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from analysis.payload.review.story import PayloadReviewData
-from analysis.review.colors import MUTED
-from analysis.review.sending import at_seconds, screen_radius
+from analysis.payload.review.review_data import PayloadReviewData
+from analysis.review.drawing import MUTED, at_seconds, screen_radius
 from recorders.simulators.arm.description import Arm
-from recorders.simulators.arm.frames import rotation_from_rpy
 from recorders.simulators.arm.kinematics import LinkPoses, link_poses
+from recorders.simulators.arm.rigid_bodies import rotation_from_rpy
 from tunenet_logs.arrays import Array
 
 _GROUND = (16, 18, 24)
@@ -23,65 +22,96 @@ _ARM = (150, 156, 170)
 _JOINT = (92, 98, 114)
 _GRIPPER = (205, 208, 214)
 _AXES = ((230, 90, 90), (110, 200, 110), (100, 150, 255))
+"""Greys, so that the payload alone has a colour; the base's axes x, y, z as usual."""
 
 _THICK, _THIN = 0.042, 0.026
-"""Radii of the first link and of the last one; like all sizes here in reaches of the arm."""
-_PALM = 0.5
-"""Share of the way to the tool frame."""
+"""Radii of the first link and of the last one, in reaches of the arm as all sizes here: an arm of
+any size looks the same."""
+
+_PALM_FRACTION = 0.5
+"""Of the way from the last joint to the tool frame; the fingers are the rest."""
+
 _GRIP, _FINGER = 0.3, 0.010
-"""Half of the fingers' distance, in lengths of the gripper; their radius."""
+"""Half of the fingers' distance, in lengths of the gripper; their radius, in reaches."""
+
 _SMALLEST, _LARGEST = 0.018, 0.15
+"""Radii of the payload, in reaches: it can be seen, and does not hide the arm."""
+
 _WATER_KG_M3 = 1000.0
-_TILES = 5
-_TILE = 0.3
-_AXIS = 0.28
+"""Density of the ball that is drawn: the payload's is unknown."""
+
+_TILES, _TILE, _AXIS = 5, 0.3, 0.28
+"""Tiles of the ground along each side, the length of one and of the base's axes, in reaches."""
+
 _TRAIL_S = 1.0
+"""Of the path behind the payload: shows which way it moves."""
+
 _LABEL = 0.055
+"""Of the mass above the ball, in reaches."""
 
 _UP_RAD, _ASIDE_RAD = 0.35, 0.85
-_HALF_ACROSS, _HALF_UP = 0.36, 0.5
+"""Of the camera, from the level and from the path's front: links hide each other less."""
+
+_TAN_ACROSS, _TAN_UP = 0.36, 0.5
 """Tangents of half of what the camera sees."""
-_ROOM = 0.04
+
+_MARGIN = 0.04
+"""Around the arm and its payload, in reaches."""
+
 _MOST_HZ = 30.0
+"""Poses that are sent: a screen shows few more."""
+
 _LEVEL = 0.3
 """A path's normal less horizontal than this: it is seen from the arm's side."""
 
 
-def log_arm(stream: rr.RecordingStream, story: PayloadReviewData) -> None:
+def log_arm(stream: rr.RecordingStream, data: PayloadReviewData) -> None:
     """Send the entities of `arm_view`."""
-    poses = _poses(story)
-    seconds = story.seconds[_kept(story)]
-    reach_m = _reach_m(story.arm)
+    seconds, poses = _shown(data)
+    reach_m = _reach_m(data.arm)
     stream.log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     _log_ground(stream, reach_m)
-    _log_links(stream, story.arm, reach_m)
+    _log_links(stream, data.arm, reach_m)
     for frame in range(1, poses.position_m.shape[1]):
         columns = rr.Transform3D.columns(
             translation=poses.position_m[:, frame], mat3x3=poses.rotation[:, frame]
         )
-        place = _frame(story.arm, frame)
-        stream.send_columns(place, indexes=[at_seconds(seconds)], columns=columns)
-    if any(one.is_prismatic for one in story.arm.joints):
+        is_tool = frame == len(data.arm.joints) + 1
+        entity = "scene/arm/tool" if is_tool else f"scene/arm/link_{frame}"
+        stream.send_columns(entity, indexes=[at_seconds(seconds)], columns=columns)
+    if any(joint.is_prismatic for joint in data.arm.joints):
         _log_slides(stream, seconds, poses, reach_m)
-    _log_payload(stream, story, seconds, poses)
+    _log_payload(stream, data, seconds, poses)
 
 
-def arm_view(story: PayloadReviewData) -> rrb.View:
+def arm_view(data: PayloadReviewData) -> rrb.View:
     """The camera stands where the path is seen from its front, and all of the arm fits."""
-    poses = _poses(story)
-    places = poses.position_m.reshape(-1, 3)
-    middle = (places.min(axis=0) + places.max(axis=0)) / 2
-    towards = _towards_eye(poses)
+    _, poses = _shown(data)
+    points = poses.position_m.reshape(-1, 3)
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    # Along the normal of the plane that the tool moves in, turned aside and up.
+    tool = poses.position_m[:, -1]
+    outward = tool.mean(axis=0)[:2]
+    normal = np.linalg.svd(tool - tool.mean(axis=0))[2][2] if len(tool) > 2 else np.zeros(3)
+    flat = normal[:2]
+    if np.linalg.norm(flat) < _LEVEL:
+        reaches = np.linalg.norm(outward) > 0
+        flat = np.array([outward[1], -outward[0]]) if reaches else np.array([0.0, -1.0])
+    if flat @ outward < 0:
+        flat = -flat
+    azimuth = math.atan2(flat[1], flat[0]) + _ASIDE_RAD
+    level = math.cos(_UP_RAD)
+    towards = np.array([level * math.cos(azimuth), level * math.sin(azimuth), math.sin(_UP_RAD)])
     right = np.cross([0.0, 0.0, 1.0], towards)
     right /= np.linalg.norm(right)
-    reach_m = _reach_m(story.arm)
-    room_m = payload_radius_m(story.result.mass_kg, reach_m) + _ROOM * reach_m
-    off = places - middle
-    needed = [
-        (np.abs(off @ across) + room_m) / half + off @ towards
-        for across, half in ((right, _HALF_ACROSS), (np.cross(towards, right), _HALF_UP))
+    reach_m = _reach_m(data.arm)
+    margin_m = payload_radius_m(data.result.mass_kg, reach_m) + _MARGIN * reach_m
+    off = points - middle
+    distances_m = [
+        (np.abs(off @ across) + margin_m) / half + off @ towards
+        for across, half in ((right, _TAN_ACROSS), (np.cross(towards, right), _TAN_UP))
     ]
-    eye = middle + float(np.max(needed)) * towards
+    eye = middle + float(np.max(distances_m)) * towards
     return rrb.Spatial3DView(
         origin="/scene",
         name="the arm along its measured path",
@@ -99,38 +129,17 @@ def payload_radius_m(mass_kg: float, reach_m: float) -> float:
     return min(max(water_m, _SMALLEST * reach_m), _LARGEST * reach_m)
 
 
-def _kept(story: PayloadReviewData) -> slice:
-    """Samples that are shown: a motion looks smooth with fewer than a curve."""
-    return slice(None, None, max(1, round(story.rate_hz / _MOST_HZ)))
-
-
-def _poses(story: PayloadReviewData) -> LinkPoses:
-    return link_poses(story.arm, story.position_rad[_kept(story)])
-
-
-def _frame(arm: Arm, frame: int) -> str:
-    return "scene/arm/tool" if frame == len(arm.joints) + 1 else f"scene/arm/link_{frame}"
+def _shown(data: PayloadReviewData) -> tuple[Array, LinkPoses]:
+    """Times [s], and the arm's poses: a motion looks smooth with fewer samples than a curve."""
+    rate_hz = 1 / float(np.median(np.diff(data.seconds)))
+    kept = slice(None, None, max(1, round(rate_hz / _MOST_HZ)))
+    return data.seconds[kept], link_poses(data.arm, data.position_rad[kept])
 
 
 def _reach_m(arm: Arm) -> float:
-    """The arm's length along its joints."""
-    steps = [one.origin_m for one in arm.joints] + [arm.tool_from_last_m]
-    return max(sum(math.hypot(*one) for one in steps), 1e-3)
-
-
-def _towards_eye(poses: LinkPoses) -> Array:
-    """A unit vector from the scene to its camera."""
-    tool = poses.position_m[:, -1]
-    normal = np.linalg.svd(tool - tool.mean(axis=0))[2][2] if len(tool) > 2 else np.zeros(3)
-    flat = normal[:2]
-    if np.linalg.norm(flat) < _LEVEL:
-        out = tool.mean(axis=0)[:2]
-        flat = np.array([out[1], -out[0]]) if np.linalg.norm(out) > 0 else np.array([0.0, -1.0])
-    if flat @ tool.mean(axis=0)[:2] < 0:
-        flat = -flat
-    azimuth = math.atan2(flat[1], flat[0]) + _ASIDE_RAD
-    level = math.cos(_UP_RAD)
-    return np.array([level * math.cos(azimuth), level * math.sin(azimuth), math.sin(_UP_RAD)])
+    """The arm's length along its joints [m]."""
+    steps = [joint.origin_m for joint in arm.joints] + [arm.tool_from_last_m]
+    return max(sum(math.hypot(*step) for step in steps), 1e-3)
 
 
 def _log_ground(stream: rr.RecordingStream, reach_m: float) -> None:
@@ -152,20 +161,20 @@ def _log_ground(stream: rr.RecordingStream, reach_m: float) -> None:
 
 def _log_links(stream: rr.RecordingStream, arm: Arm, reach_m: float) -> None:
     """Each link from its own joint to the next one, in its own frame."""
-    ends = [one.origin_m for one in arm.joints]
+    ends = [joint.origin_m for joint in arm.joints]
     radii = np.linspace(_THICK, _THIN, len(ends) + 1) * reach_m
     stream.log("scene/arm/base", _capsules([((0, 0, 0), ends[0])], [radii[0]], _ARM), static=True)
     for number, radius in enumerate(radii[1:], start=1):
-        place = f"scene/arm/link_{number}"
+        entity = f"scene/arm/link_{number}"
         if number < len(ends):
             parts = [((0, 0, 0), ends[number])]
-            stream.log(place, _capsules(parts, [radius], _ARM), static=True)
+            stream.log(entity, _capsules(parts, [radius], _ARM), static=True)
         else:
-            _log_gripper(stream, arm, place, radius, reach_m)
+            _log_gripper(stream, arm, entity, radius, reach_m)
         hinge = rr.Ellipsoids3D(
             half_sizes=[[1.25 * radius] * 3], colors=[_JOINT], fill_mode="solid"
         )
-        stream.log(f"{place}/joint", hinge, static=True)
+        stream.log(f"{entity}/joint", hinge, static=True)
         label = rr.Points3D(
             [[0, 0, 0]],
             labels=[str(number)],
@@ -173,11 +182,11 @@ def _log_links(stream: rr.RecordingStream, arm: Arm, reach_m: float) -> None:
             radii=screen_radius(0.1),
             show_labels=True,
         )
-        stream.log(f"{place}/number", label, static=True)
+        stream.log(f"{entity}/number", label, static=True)
 
 
 def _log_gripper(
-    stream: rr.RecordingStream, arm: Arm, place: str, radius: float, reach_m: float
+    stream: rr.RecordingStream, arm: Arm, entity: str, radius: float, reach_m: float
 ) -> None:
     """A palm and two fingers up to the tool frame, in the last link's."""
     tip = np.array(arm.tool_from_last_m)
@@ -185,15 +194,15 @@ def _log_gripper(
     if length < 1e-3 * reach_m:
         return
     axes = rotation_from_rpy(arm.tool_from_last_rpy)
-    aside = next((one for one in axes.T[[1, 2]] if abs(one @ tip) < 0.7 * length), axes[:, 0])
+    aside = next((axis for axis in axes.T[[1, 2]] if abs(axis @ tip) < 0.7 * length), axes[:, 0])
     aside = aside - (aside @ tip) / length**2 * tip
     aside *= _GRIP * length / np.linalg.norm(aside)
-    palm = _PALM * tip
-    stream.log(place, _capsules([((0, 0, 0), palm)], [radius], _ARM), static=True)
+    palm = _PALM_FRACTION * tip
+    stream.log(entity, _capsules([((0, 0, 0), palm)], [radius], _ARM), static=True)
     fingers = [(palm + side * aside, tip + side * aside) for side in (-1, 1)]
     bones = [(palm - aside, palm + aside), *fingers]
     widths = [_FINGER * reach_m] * len(bones)
-    stream.log(f"{place}/gripper", _capsules(bones, widths, _GRIPPER), static=True)
+    stream.log(f"{entity}/gripper", _capsules(bones, widths, _GRIPPER), static=True)
 
 
 def _log_slides(
@@ -208,12 +217,12 @@ def _log_slides(
 
 
 def _log_payload(
-    stream: rr.RecordingStream, story: PayloadReviewData, seconds: Array, poses: LinkPoses
+    stream: rr.RecordingStream, data: PayloadReviewData, seconds: Array, poses: LinkPoses
 ) -> None:
-    reach_m = _reach_m(story.arm)
-    result, at_m = story.result, np.array(story.com_m)
+    reach_m = _reach_m(data.arm)
+    result, at_m = data.result, np.array(data.com_m)
     radius_m = payload_radius_m(result.mass_kg, reach_m)
-    color = result.color if story.is_told else MUTED
+    color = result.color if data.has_estimate else MUTED
     ball = rr.Ellipsoids3D(
         centers=[at_m], half_sizes=[[radius_m] * 3], colors=[color], fill_mode="solid"
     )
@@ -221,7 +230,7 @@ def _log_payload(
     centers = poses.position_m[:, -1] + poses.rotation[:, -1] @ at_m
     over = np.array([0.0, 0.0, radius_m + _LABEL * reach_m])
     style = rr.Points3D.from_fields(
-        labels=[f"{result.mass_kg:.3f} kg" if story.is_told else "rejected"],
+        labels=[f"{result.mass_kg:.3f} kg" if data.has_estimate else "rejected"],
         colors=[color],
         radii=screen_radius(0.1),
         show_labels=True,
@@ -245,21 +254,27 @@ def _capsules(
     radii: Sequence[float],
     color: tuple[int, int, int],
 ) -> rr.Capsules3D:
-    """From point to point."""
+    """From point to point.
+
+    Args:
+        bones: both ends of each [m].
+        radii: of each [m].
+        color: of all.
+    """
     starts = np.array([start for start, _ in bones], np.float64)
     along = np.array([end for _, end in bones], np.float64) - starts
     return rr.Capsules3D(
         lengths=np.linalg.norm(along, axis=1),
         radii=radii,
         translations=starts,
-        quaternions=[rr.Quaternion(xyzw=_from_z(one)) for one in along],
+        quaternions=[rr.Quaternion(xyzw=_from_z(bone)) for bone in along],
         colors=[color],
         fill_mode="solid",
     )
 
 
 def _from_z(along: Array) -> Array:
-    """The shortest turn from z to a direction, as a quaternion x, y, z, w."""
+    """The shortest turn from z to a direction, as a quaternion x, y, z, w, shape (4,)."""
     length = float(np.linalg.norm(along))
     if length == 0 or along[2] <= -length * (1 - 1e-9):
         return np.array([1.0, 0.0, 0.0, 0.0]) if length else np.array([0.0, 0.0, 0.0, 1.0])

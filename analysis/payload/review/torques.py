@@ -1,4 +1,8 @@
-"""Torques over the log's time, a row a joint: observed with all iterations, and what is left."""
+"""Torques, a chart a joint: observed with all iterations, their residuals, and one iteration's.
+
+Over the log's time stand all iterations and what they differ by from the observed torques; on the
+iterations' timeline, what one iteration's payload adds to the empty arm's.
+"""
 
 from __future__ import annotations
 
@@ -7,64 +11,66 @@ from collections.abc import Sequence
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
-from analysis.payload.review.story import PayloadReviewData, Torques
-from analysis.review.colors import MUTED, OBSERVED
-from analysis.review.sending import screen_radius, send_scalars
+from analysis.payload.review.review_data import PayloadReviewData, TorqueCurve
+from analysis.review.charts import WIDTH, chart_view, log_grid, ticks
+from analysis.review.drawing import MUTED, OBSERVED, by_iteration, screen_radius, send_scalars
+from tunenet_logs.arrays import Array
 
-_MANY = 150
-"""Samples above which dots would hide the lines."""
+_MANY_SAMPLES = 150
+"""Above which dots of the usual size would hide the lines."""
 
-_USUAL, _HEADROOM = 0.98, 1.3
-"""Of what is left: what the axis must show, and room around it."""
+_USUAL_QUANTILE, _HEADROOM = 0.98, 1.3
+"""Of the residuals: what the axis must show, so that no spike makes it useless; and room beyond."""
 
-_LEAST_SPAN_NM = 2.0
-"""Of a torque's axis: less would make noise look like torque."""
+_LEAST_SPAN_NM, _LEAST_SHEET_NM, _LEAST_REACH_NM = 2.0, 0.5, 0.05
+"""Of the axes of torques, of a payload's part of them, and of residuals (half of it): less would
+make noise look like torque."""
 
-_SAMPLE = 0.3
+_ROOM = 0.05
+"""Above and below the curves of a sheet, of what they span."""
+
+_KEY_LINE = 0.3
 """Length of a line in the key, of what an entry takes up."""
 
-_LEAST_REACH_NM = 0.05
 
-
-def log_torques(stream: rr.RecordingStream, story: PayloadReviewData) -> None:
-    """Send the entities of `torque_views` and `residual_views`."""
-    size = 1.0 if len(story.seconds) > _MANY else 1.5
-    for joint in story.order:
-        torque, residual = _entity("torque", joint), _entity("residual", joint)
-        observed = story.observed_nm[:, joint]
-        curves = {"iterations": story.simulated}
-        if story.fitted is not None:
-            curves["fit"] = (story.fitted,)
-        for name, some in curves.items():
-            values = np.column_stack([one.effort_nm[:, joint] for one in some])
-            _log_lines(stream, f"{torque}/{name}", some, story.seconds, values)
+def log_torques(stream: rr.RecordingStream, data: PayloadReviewData) -> None:
+    """Send the entities of `torque_views`."""
+    size = 1.0 if len(data.seconds) > _MANY_SAMPLES else 1.5
+    for joint in data.order:
+        torque, residual = f"torque/joint_{joint + 1}", f"residual/joint_{joint + 1}"
+        observed = data.observed_nm[:, joint]
+        curves = {"iterations": data.simulated}
+        if data.fitted is not None:
+            curves["fit"] = (data.fitted,)
+        for name, lines in curves.items():
+            values = np.column_stack([line.effort_nm[:, joint] for line in lines])
+            _log_lines(stream, f"{torque}/{name}", lines, data.seconds, values)
             off = values - observed[:, None]
-            _log_lines(stream, f"{residual}/{name}", some, story.seconds, off)
+            _log_lines(stream, f"{residual}/{name}", lines, data.seconds, off)
         points = rr.SeriesPoints(colors=[OBSERVED], names=["observed"], marker_sizes=[size])
         stream.log(f"{torque}/observed", points, static=True)
-        send_scalars(stream, f"{torque}/observed", story.seconds, observed)
+        send_scalars(stream, f"{torque}/observed", data.seconds, observed)
 
 
-def log_key(stream: rr.RecordingStream, story: PayloadReviewData) -> None:
+def log_key(stream: rr.RecordingStream, data: PayloadReviewData) -> None:
     """Send the entities of `key_view`: what the curves are, where it hides none of them."""
     entries = [("observed", [OBSERVED])]
-    entries.append(("rigid arm, k=0 to the result", [one.color for one in story.simulated]))
-    if story.fitted is not None:
-        entries.append((story.fitted.label, [story.fitted.color]))
+    entries.append(("rigid arm, k=0 to the result", [curve.color for curve in data.simulated]))
+    if data.fitted is not None:
+        entries.append((data.fitted.label, [data.fitted.color]))
     strips, colors, labels = [], [], []
-    for place, (text, samples) in enumerate(entries):
-        width = _SAMPLE / len(samples)
-        for number, color in enumerate(samples):
-            left = place - _SAMPLE / 2 + number * width
-            strips.append([[left, 0.0], [left + width, 0.0]])
+    for entry, (text, line_colors) in enumerate(entries):
+        width = _KEY_LINE / len(line_colors)
+        for number, color in enumerate(line_colors):
+            begin = entry - _KEY_LINE / 2 + number * width
+            strips.append([[begin, 0.0], [begin + width, 0.0]])
             colors.append(color)
-        labels.append(([float(place), 0.02], text))
+        labels.append(([float(entry), 0.02], text))
     lines = rr.LineStrips2D(strips, colors=colors, radii=screen_radius(2.0))
     stream.log("key/lines", lines, static=True)
     words = rr.Points2D(
-        [place for place, _ in labels],
+        [position for position, _ in labels],
         labels=[text for _, text in labels],
         colors=[MUTED],
         radii=screen_radius(0.1),
@@ -73,9 +79,9 @@ def log_key(stream: rr.RecordingStream, story: PayloadReviewData) -> None:
     stream.log("key/words", words, static=True)
 
 
-def key_view(story: PayloadReviewData) -> rrb.View:
+def key_view(data: PayloadReviewData) -> rrb.View:
     """A strip above the curves."""
-    last = 1.0 if story.fitted is None else 2.0
+    last = 1.0 if data.fitted is None else 2.0
     return rrb.Spatial2DView(
         origin="/key",
         name="key",
@@ -84,71 +90,138 @@ def key_view(story: PayloadReviewData) -> rrb.View:
     )
 
 
-def torque_views(story: PayloadReviewData) -> list[rrb.View]:
-    """A joint each: observed dots under the lines of all iterations."""
-    return [
-        rrb.TimeSeriesView(
-            origin=f"/{_entity('torque', joint)}",
-            name=f"{story.title(joint)}, {_told(story, joint)}",
-            axis_y=rrb.ScalarAxis(range=_span(story, joint)),
-            plot_legend=rrb.PlotLegend(visible=False),
-        )
-        for joint in story.order
-    ]
+def torque_views(data: PayloadReviewData) -> tuple[list[rrb.View], list[rrb.View]]:
+    """Two a joint: observed dots under the lines of all iterations, and the residuals of these.
 
-
-def residual_views(story: PayloadReviewData) -> list[rrb.View]:
-    """A joint each: simulated less observed, to the scale of the result's of most joints."""
-    off = np.abs(story.result.effort_nm - story.observed_nm)
-    usual = np.quantile(off, _USUAL, axis=0)
-    least = max(float(np.median(usual[story.used])), _LEAST_REACH_NM)
-    views: list[rrb.View] = []
-    for joint in story.order:
-        reach = _HEADROOM * max(float(usual[joint]), least)
-        views.append(
+    A torque's axis shows what was observed and the result; guesses before it may run off. That of
+    residuals has the scale of the result's of most joints.
+    """
+    off = np.abs(data.result.effort_nm - data.observed_nm)
+    usual = np.quantile(off, _USUAL_QUANTILE, axis=0)
+    least = max(float(np.median(usual[data.used])), _LEAST_REACH_NM)
+    best = data.fitted or data.result
+    torques: list[rrb.View] = []
+    residuals: list[rrb.View] = []
+    for joint in data.order:
+        shown = np.concatenate([data.observed_nm[:, joint], best.effort_nm[:, joint]])
+        low, high = float(shown.min()), float(shown.max())
+        half = max(1.1 * (high - low), _LEAST_SPAN_NM) / 2
+        felt = f"{data.felt_nm_per_kg[joint]:.2f} per kg" if data.used[joint] else "not used"
+        torques.append(
             rrb.TimeSeriesView(
-                origin=f"/{_entity('residual', joint)}",
-                name=story.title(joint, "residual"),
+                origin=f"/torque/joint_{joint + 1}",
+                name=f"{data.title(joint)}, {felt}",
+                axis_y=rrb.ScalarAxis(range=((low + high) / 2 - half, (low + high) / 2 + half)),
+                plot_legend=rrb.PlotLegend(visible=False),
+            )
+        )
+        reach = _HEADROOM * max(float(usual[joint]), least)
+        residuals.append(
+            rrb.TimeSeriesView(
+                origin=f"/residual/joint_{joint + 1}",
+                name=data.title(joint, "residual"),
                 axis_y=rrb.ScalarAxis(range=(-reach, reach)),
                 plot_legend=rrb.PlotLegend(visible=False),
             )
         )
-    return views
-
-
-def _told(story: PayloadReviewData, joint: int) -> str:
-    """What a joint tells of the payload."""
-    if not story.used[joint]:
-        return "not used"
-    return f"{story.felt_nm_per_kg[joint]:.2f} per kg"
-
-
-def _span(story: PayloadReviewData, joint: int) -> tuple[float, float]:
-    """Of a joint's axis: what was observed and the result; guesses before it may run off."""
-    best = story.fitted or story.result
-    shown = np.concatenate([story.observed_nm[:, joint], best.effort_nm[:, joint]])
-    low, high = float(shown.min()), float(shown.max())
-    reach = max(1.1 * (high - low), _LEAST_SPAN_NM) / 2
-    return (low + high) / 2 - reach, (low + high) / 2 + reach
-
-
-def _entity(kind: str, joint: int) -> str:
-    return f"{kind}/joint_{joint + 1}"
+    return torques, residuals
 
 
 def _log_lines(
     stream: rr.RecordingStream,
     entity: str,
-    curves: Sequence[Torques],
-    seconds: NDArray[np.float64],
-    values: NDArray[np.float64],
+    curves: Sequence[TorqueCurve],
+    seconds: Array,
+    values: Array,
 ) -> None:
     """Several curves as one entity, values of shape (T, curves)."""
     style = rr.SeriesLines(
-        colors=[one.color for one in curves],
-        names=[one.label for one in curves],
-        widths=[one.width for one in curves],
+        colors=[curve.color for curve in curves],
+        names=[curve.label for curve in curves],
+        widths=[curve.width for curve in curves],
         aggregation_policy="Off",
     )
     stream.log(entity, style, static=True)
     send_scalars(stream, entity, seconds, values)
+
+
+def log_torque_sheets(stream: rr.RecordingStream, data: PayloadReviewData) -> None:
+    """Send the entities of `torque_sheet_views`, and `step`: the iteration in words."""
+    indexes = by_iteration(len(data.simulated), float(data.seconds[0]))
+    for joint in data.order:
+        _log_sheet(stream, data, joint, indexes)
+    stream.log("step", rr.TextDocument.from_fields(media_type="text/markdown"), static=True)
+    for index, chosen in indexes:
+        words = rr.TextDocument.columns(text=[_words(data, k) for k in chosen])
+        stream.send_columns("step", indexes=[index], columns=words)
+
+
+def torque_sheet_views(data: PayloadReviewData) -> list[rrb.View]:
+    """A joint each: observed torque, and what the iteration's payload adds to the empty arm's."""
+    return [
+        chart_view(f"torque_{joint + 1}", f"{data.title(joint)} beyond the empty arm")
+        for joint in data.order
+    ]
+
+
+def _log_sheet(
+    stream: rr.RecordingStream,
+    data: PayloadReviewData,
+    joint: int,
+    indexes: Sequence[tuple[rr.TimeColumn, range]],
+) -> None:
+    """What payloads add to a joint's torque, over the observed torque, which stays."""
+    sheet = f"sheets/torque_{joint + 1}"
+    empty = data.empty_nm[:, joint]
+    observed = data.observed_nm[:, joint] - empty
+    simulated = [curve.effort_nm[:, joint] - empty for curve in data.simulated]
+    fitted = None if data.fitted is None else data.fitted.effort_nm[:, joint] - empty
+    shown = np.concatenate([observed, *simulated, [0.0]])
+    reach = max(float(np.ptp(shown)), _LEAST_SHEET_NM) * (1 + 2 * _ROOM)
+    low = float(shown.min() + shown.max() - reach) / 2
+    start_s, width_s = data.seconds[0], data.seconds[-1] - data.seconds[0]
+    x = (data.seconds - start_s) / width_s * WIDTH
+
+    def points(values: Array) -> Array:
+        return np.column_stack([x, -(values - low) / reach])
+
+    rows = [(-(value - low) / reach, f"{value:g}") for value in ticks(low, low + reach, 4)]
+    marks = [
+        (float((second - start_s) / width_s * WIDTH), f"{second:g} s")
+        for second in ticks(start_s, data.seconds[-1])
+    ]
+    log_grid(stream, sheet, WIDTH, rows, marks)
+    dots = rr.Points2D(points(observed), colors=[OBSERVED], radii=screen_radius(1.2))
+    stream.log(f"{sheet}/observed", dots, static=True)
+    if data.fitted is not None and fitted is not None:
+        line = rr.LineStrips2D(
+            [points(fitted)], colors=[data.fitted.color], radii=screen_radius(0.9)
+        )
+        stream.log(f"{sheet}/fit", line, static=True)
+    style = rr.LineStrips2D.from_fields(radii=screen_radius(1.4), draw_order=40.0)
+    stream.log(f"{sheet}/simulated", style, static=True)
+    for index, chosen in indexes:
+        strips = rr.LineStrips2D.columns(
+            strips=[points(simulated[k]) for k in chosen],
+            colors=[data.simulated[k].color for k in chosen],
+        )
+        stream.send_columns(f"{sheet}/simulated", indexes=[index], columns=strips)
+
+
+def _words(data: PayloadReviewData, k: int) -> str:
+    """An iteration: its mass, and how far its torques are from the observed ones."""
+    curve = data.simulated[k]
+    rms_nm = float(np.sqrt(np.mean((curve.effort_nm - data.observed_nm) ** 2)))
+    lines = [
+        f"# {curve.name}",
+        f"payload mass **{curve.mass_kg:.4f} kg**",
+        f"{rms_nm:.3f} N·m rms from the observed torques",
+        "Dots: observed torques less the empty arm's. Thick line: what this payload adds to them.",
+    ]
+    if data.fitted is not None:
+        rms_nm = float(np.sqrt(np.mean((data.fitted.effort_nm - data.observed_nm) ** 2)))
+        lines.append(
+            f"Thin line: the fit, with friction, offsets and all else; {rms_nm:.3f} N·m rms is "
+            "left."
+        )
+    return "\n\n".join(lines)

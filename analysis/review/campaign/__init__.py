@@ -10,10 +10,10 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from analysis.campaign.build import Campaign
-from analysis.campaign.rates import ball_rates, overall_rates, spreads
+from analysis.campaign.rates import ball_rates, overall_rates, restitutions_by_ball
 from analysis.result_files import replacing
 from analysis.review.campaign.attempt import attempt_view, film_view, log_attempts, overlay_view
-from analysis.review.campaign.charts import log_rates, log_spreads, rate_view, spread_view
+from analysis.review.campaign.charts import log_rates, log_restitutions
 from analysis.review.campaign.lanes import lane_view, log_lanes
 from analysis.review.campaign.times import ATTEMPT, slots_of
 from analysis.review.campaign.words import campaign_words
@@ -26,18 +26,21 @@ def write_campaign(campaign: Campaign, path: Path) -> None:
         OSError: `path` cannot be written.
     """
     words = campaign_words(campaign)
-    told = os.fsencode(path.resolve()) + words.encode()
-    identity = hashlib.sha256(told).hexdigest()[:16]
+    shown = os.fsencode(path.resolve()) + words.encode()
+    identity = hashlib.sha256(shown).hexdigest()[:16]
     stream = rr.RecordingStream("tunenet review campaign", recording_id=identity)
     memory = stream.memory_recording()
     stream.send_recording_name(campaign.name)
     slots = slots_of(campaign.attempts)
     log_lanes(stream, slots)
-    log_rates(stream, overall_rates(campaign.attempts), ball_rates(campaign.attempts))
-    log_spreads(stream, spreads(campaign.attempts))
+    rates = (*overall_rates(campaign.attempts), *ball_rates(campaign.attempts))
+    charts = [
+        log_rates(stream, rates),
+        log_restitutions(stream, restitutions_by_ball(campaign.attempts)),
+    ]
     log_attempts(stream, slots)
-    is_filmed = any(drop.film for one in campaign.attempts for drop in one.drops)
-    stream.send_blueprint(_blueprint(is_filmed=is_filmed))
+    is_filmed = any(drop.film for attempt in campaign.attempts for drop in attempt.drops)
+    stream.send_blueprint(_blueprint(charts, is_filmed=is_filmed))
     stream.log("summary", rr.TextDocument(words, media_type="text/markdown"), static=True)
     stream.flush()
     with replacing(path) as partial:
@@ -45,11 +48,11 @@ def write_campaign(campaign: Campaign, path: Path) -> None:
     stream.disconnect()
 
 
-def _blueprint(*, is_filmed: bool) -> rrb.Blueprint:
+def _blueprint(charts: list[rrb.View], *, is_filmed: bool) -> rrb.Blueprint:
     summary = rrb.TextDocumentView(origin="/summary", name="the campaign")
     overview = rrb.Vertical(
         lane_view("the attempts: a click goes to one"),
-        rrb.Horizontal(rate_view(), spread_view()),
+        rrb.Horizontal(*charts),
         _attempt(is_filmed=is_filmed),
         row_shares=[2.7, 3, 3.1],
         name="overview",
@@ -71,7 +74,7 @@ def _blueprint(*, is_filmed: bool) -> rrb.Blueprint:
 
 
 def _attempt(*, is_filmed: bool) -> rrb.Container:
-    """The attempt under the cursor."""
+    """The attempt under the cursor; anew for each tab, as a view is shown in one place only."""
     if not is_filmed:
         return rrb.Horizontal(overlay_view(), attempt_view(), column_shares=[5, 3])
     return rrb.Horizontal(overlay_view(), film_view(), attempt_view(), column_shares=[5, 3, 3])

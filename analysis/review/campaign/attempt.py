@@ -12,16 +12,18 @@ import rerun.blueprint as rrb
 from analysis.campaign.attempts import Attempt
 from analysis.campaign.tuned_drop import TunedDrop
 from analysis.review.campaign.times import ATTEMPT, FILM, WALL, Shown, Slot, at_attempts
-from analysis.review.colors import FAILURE, OBSERVED, Color
-from analysis.review.grid import chart_view, log_grid, ticks
-from analysis.review.sending import screen_radius
+from analysis.review.charts import chart_view, log_grid, ticks
+from analysis.review.drawing import FAILURE, OBSERVED, Color, screen_radius
 from tunenet_logs.arrays import Array
-from tunenet_logs.wording import one_line
+from tunenet_logs.text import one_line
 
 _WIDTH = 1.9
+"""Of the chart of curves, in its heights: about the shape of its view."""
+
 _SIMULATED: Color = (255, 165, 40)
+
 _EVERY = 3
-"""Of the samples, those at which the moving dot is."""
+"""The moving dot is at every third sample: it still goes smoothly, and the file stays small."""
 
 
 def log_attempts(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
@@ -30,7 +32,7 @@ def log_attempts(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
     _log_films(stream, slots)
     style = rr.TextDocument.from_fields(media_type="text/markdown")
     stream.log("attempt", style, static=True)
-    words = rr.TextDocument.columns(text=[attempt_words(one.attempt) for one in slots])
+    words = rr.TextDocument.columns(text=[attempt_words(slot.attempt) for slot in slots])
     stream.send_columns("attempt", indexes=at_attempts(slots), columns=words)
 
 
@@ -56,8 +58,8 @@ class _Axes(NamedTuple):
     span_s: float
     top_m: float
 
-    def places(self, drop: TunedDrop, heights_m: Array) -> Array:
-        """Places in the chart, shape (T, 2)."""
+    def points(self, drop: TunedDrop, heights_m: Array) -> Array:
+        """Points of a curve in the chart, shape (T, 2), from heights of shape (T,)."""
         assert drop.overlay is not None
         seconds = drop.overlay.seconds - drop.overlay.seconds[0]
         return np.column_stack([seconds / self.span_s * _WIDTH, -heights_m / self.top_m])
@@ -72,8 +74,8 @@ def _axes(slots: Sequence[Slot]) -> _Axes:
     ]
     if not overlays:
         return _Axes(1.0, 1.0)
-    span_s = max(float(one.seconds[-1] - one.seconds[0]) for one in overlays)
-    top_m = max(float(one.observed_m.max()) for one in overlays)
+    span_s = max(float(overlay.seconds[-1] - overlay.seconds[0]) for overlay in overlays)
+    top_m = max(float(overlay.observed_m.max()) for overlay in overlays)
     return _Axes(span_s, max(1.02 * top_m, 1e-3))
 
 
@@ -96,8 +98,8 @@ def _log_overlays(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
         axes,
     )
     every = [shown for slot in slots for shown in slot.drops]
-    starts = rr.TimeColumn(FILM, duration=[one.start_s for one in every])
-    _send_overlays(stream, starts, [one.drop for one in every], axes)
+    starts = rr.TimeColumn(FILM, duration=[shown.start_s for shown in every])
+    _send_overlays(stream, starts, [shown.drop for shown in every], axes)
     _log_now(stream, every, axes)
 
 
@@ -111,10 +113,10 @@ def _send_overlays(
     observed = [_observed(drop, axes) for drop in drops]
     colors = [
         FAILURE if drop is not None and drop.verdict == "rejected" else OBSERVED
-        for drop, places in zip(drops, observed, strict=True)
-        for _ in places
+        for drop, points in zip(drops, observed, strict=True)
+        for _ in points
     ]
-    lengths = [len(places) for places in observed]
+    lengths = [len(points) for points in observed]
     if not lengths:
         return
     stream.send_columns(
@@ -137,12 +139,12 @@ def _send_overlays(
 def _observed(drop: TunedDrop | None, axes: _Axes) -> Array:
     if drop is None or drop.overlay is None:
         return np.zeros((0, 2))
-    return axes.places(drop, drop.overlay.observed_m)
+    return axes.points(drop, drop.overlay.observed_m)
 
 
 def _simulated(drop: TunedDrop | None, axes: _Axes) -> Iterator[Array]:
     if drop is not None and drop.overlay is not None:
-        yield axes.places(drop, drop.overlay.simulated_m)
+        yield axes.points(drop, drop.overlay.simulated_m)
 
 
 def _log_now(stream: rr.RecordingStream, every: Sequence[Shown], axes: _Axes) -> None:
@@ -154,11 +156,11 @@ def _log_now(stream: rr.RecordingStream, every: Sequence[Shown], axes: _Axes) ->
         if overlay is None:
             continue
         seconds = [shown.film_s(float(second)) for second in overlay.seconds[::_EVERY]]
-        places = axes.places(shown.drop, overlay.observed_m)[::_EVERY]
+        points = axes.points(shown.drop, overlay.observed_m)[::_EVERY]
         stream.send_columns(
             "sheets/overlay/now",
             indexes=[rr.TimeColumn(FILM, duration=seconds)],
-            columns=rr.Points2D.columns(positions=places),
+            columns=rr.Points2D.columns(positions=points),
         )
 
 
@@ -217,7 +219,7 @@ def attempt_words(attempt: Attempt) -> str:
     if used is not None and used.tuning is not None:
         review = used.tuning.with_suffix(".rrd")
         lines += [f"review of the drop: `rerun {one_line(review.name)}`"] if review.exists() else []
-    return "\n\n".join(one for one in lines if one)
+    return "\n\n".join(line for line in lines if line)
 
 
 def _shot_words(attempt: Attempt) -> str:
@@ -229,7 +231,7 @@ def _shot_words(attempt: Attempt) -> str:
     if outcome.miss_m is not None:
         side = "short of" if outcome.miss_m < 0 else "beyond"
         facts.append(f"came down {1000 * abs(outcome.miss_m):.0f} mm from the centre, {side} it")
-    facts += [one_line(one) for one in (outcome.reason, outcome.note) if one]
+    facts += [one_line(text) for text in (outcome.reason, outcome.note) if text]
     return "; ".join(facts)
 
 

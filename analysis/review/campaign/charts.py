@@ -1,4 +1,4 @@
-"""The charts of a whole campaign, a row a ball: restitution with its spread, and success rates."""
+"""The charts of a whole campaign, a row a ball: success rates, and restitutions."""
 
 from __future__ import annotations
 
@@ -9,32 +9,36 @@ from math import isnan
 import rerun as rr
 import rerun.blueprint as rrb
 
-from analysis.campaign.rates import Rate, Spread
-from analysis.review.colors import MUTED, OBSERVED, SUCCESS, Color
-from analysis.review.grid import GROUND, filled, mixed, ticks
-from analysis.review.sending import screen_radius
-from tunenet_logs.wording import short_name
+from analysis.campaign.rates import BallRestitutions, Rate
+from analysis.review.charts import filled, mixed, ticks
+from analysis.review.drawing import GROUND, MUTED, OBSERVED, SUCCESS, Color, screen_radius
+from tunenet_logs.text import short_name
 
-_WIDTH = 1.25
-_NAMES, _FIGURES = 0.6, 0.85
-"""Room left of the chart for names, and right of it for figures."""
+_WIDTH, _NAMES, _FIGURES = 1.25, 0.6, 0.85
+"""Of the chart in its heights, of the names left of it, and of the figures right of it."""
 
 _HANG = 0.06
-"""A label hangs from its place by half a line."""
+"""Chart heights: half a line, by which Rerun hangs a label from its point."""
 
 _MOST_LETTERS = 22
+"""Of a name, as many as fit left of the chart."""
+
 _TUNED: Color = (255, 165, 40)
 _PAPER: Color = (190, 150, 255)
-_LINES = (60, 62, 70)
+_LINES: Color = (60, 62, 70)
+
 _THICK = 0.16
-"""Of a row: how high a bar is."""
+"""How high a bar is, as a fraction of its row."""
 
 _LEAST_SPAN = 0.1
+"""Of restitution: less would make noise look like a difference between balls."""
+
 _HALF_ROW = 0.3
+"""Half of what marks take up of a row, as its fraction: the rest keeps rows apart."""
 
 
 @dataclass(frozen=True)
-class _Rows:
+class _RowAxes:
     """Where the rows of a chart are, from top to bottom, and what its axis spans."""
 
     count: int
@@ -52,69 +56,67 @@ class _Rows:
         return 1 / self.count
 
 
-def log_rates(stream: rr.RecordingStream, overall: Sequence[Rate], balls: Sequence[Rate]) -> None:
-    """Send the entities of `rate_view`: each share, its Wilson interval, the paper's figure."""
-    every = [*overall, *balls]
-    rows = _Rows(len(every), 0.0, 1.0)
+def log_rates(stream: rr.RecordingStream, every: Sequence[Rate]) -> rrb.View:
+    """Draw each fraction of successes, its Wilson interval, and the paper's."""
+    rows = _RowAxes(len(every), 0.0, 1.0)
     sheet = "sheets/rates"
     _log_frame(
         stream,
         sheet,
         rows,
-        [(share / 4, f"{25 * share} %") for share in range(5)],
-        [one.name for one in every],
-        [_rate_words(one) for one in every],
+        [(quarter / 4, f"{25 * quarter} %") for quarter in range(5)],
+        [rate.name for rate in every],
+        [_rate_words(rate) for rate in every],
     )
-    counted = [(row, one) for row, one in enumerate(every) if one.count]
-    _log_bars(
-        stream,
-        f"{sheet}/intervals",
-        [
-            (rows.y(row), rows.x(one.interval95[0]), rows.x(one.interval95[1]))
-            for row, one in counted
-        ],
-        rows.pitch * _THICK,
-        mixed(SUCCESS, 0.45),
-    )
-    _log_dots(
-        stream, f"{sheet}/shares", [(rows.x(one.share), rows.y(row)) for row, one in counted],
-        SUCCESS, 4.0,
-    )  # fmt: skip
+    counted = [(row, rate) for row, rate in enumerate(every) if rate.count]
+    intervals = [
+        (rows.y(row), rows.x(rate.interval95[0]), rows.x(rate.interval95[1]))
+        for row, rate in counted
+    ]
+    _log_bars(stream, f"{sheet}/intervals", intervals, rows.pitch * _THICK, mixed(SUCCESS, 0.45))
+    dots = [(rows.x(rate.fraction), rows.y(row)) for row, rate in counted]
+    _log_dots(stream, f"{sheet}/shares", dots, SUCCESS, 4.0)
     published = [
-        (rows.x(one.published), rows.y(row))
-        for row, one in enumerate(every)
-        if one.published is not None
+        (rows.x(rate.published), rows.y(row))
+        for row, rate in enumerate(every)
+        if rate.published is not None
     ]
     strips = [
         [[x, y - _HALF_ROW * rows.pitch], [x, y + _HALF_ROW * rows.pitch]] for x, y in published
     ]
     marks = rr.LineStrips2D(strips, colors=[_PAPER], radii=screen_radius(1.5), draw_order=18.0)
     stream.log(f"{sheet}/published", marks, static=True)
+    return _view("rates", "success rates, bars: 95 % (Wilson), violet: the paper's")
 
 
-def log_spreads(stream: rr.RecordingStream, spreads: Sequence[Spread]) -> None:
-    """Send the entities of `spread_view`: each attempt's value, and each ball's mean and spread."""
-    ends = [value for one in spreads for value in one.values]
-    ends += [end for one in spreads for pair in one.intervals95 if pair for end in pair]
+def log_restitutions(stream: rr.RecordingStream, balls: Sequence[BallRestitutions]) -> rrb.View:
+    """Draw each attempt's restitution, and the mean and standard deviation of each ball's."""
+    ends = [value for ball in balls for value in ball.values]
+    ends += [end for ball in balls for pair in ball.intervals95 if pair for end in pair]
     low, high = (min(ends), max(ends)) if ends else (0.0, 1.0)
     more = max(0.0, _LEAST_SPAN - (high - low)) / 2 + 0.05 * (high - low)
-    rows = _Rows(max(1, len(spreads)), low - more, high + more)
+    rows = _RowAxes(max(1, len(balls)), low - more, high + more)
     sheet = "sheets/spreads"
     marks = [(value, f"{value:.6g}") for value in ticks(rows.low, rows.high, 5)]
-    names, words = [one.ball for one in spreads], [_spread_words(one) for one in spreads]
-    _log_frame(stream, sheet, rows, marks, names, words)
-    spread = [
-        (rows.y(row), rows.x(one.mean - one.deviation), rows.x(one.mean + one.deviation))
-        for row, one in enumerate(spreads)
-        if not isnan(one.deviation)
+    figures = [
+        f"{ball.mean:.4f} (1)"
+        if isnan(ball.sd)
+        else f"{ball.mean:.4f} ± {ball.sd:.4f} ({len(ball.values)})"
+        for ball in balls
+    ]
+    _log_frame(stream, sheet, rows, marks, [ball.name for ball in balls], figures)
+    deviations = [
+        (rows.y(row), rows.x(ball.mean - ball.sd), rows.x(ball.mean + ball.sd))
+        for row, ball in enumerate(balls)
+        if not isnan(ball.sd)
     ]
     thick = 2 * _HALF_ROW * rows.pitch
-    _log_bars(stream, f"{sheet}/deviation", spread, thick, mixed(_TUNED, 0.2))
+    _log_bars(stream, f"{sheet}/deviation", deviations, thick, mixed(_TUNED, 0.2))
     dots: list[tuple[float, float]] = []
     bars: list[list[list[float]]] = []
-    for row, one in enumerate(spreads):
-        steps = max(1, len(one.values) - 1)
-        for index, (value, pair) in enumerate(zip(one.values, one.intervals95, strict=True)):
+    for row, ball in enumerate(balls):
+        steps = max(1, len(ball.values) - 1)
+        for index, (value, pair) in enumerate(zip(ball.values, ball.intervals95, strict=True)):
             y = rows.y(row) + (index / steps - 0.5) * 2 * 0.8 * _HALF_ROW * rows.pitch
             dots.append((rows.x(value), y))
             if pair is not None:
@@ -122,15 +124,6 @@ def log_spreads(stream: rr.RecordingStream, spreads: Sequence[Spread]) -> None:
     lines = rr.LineStrips2D(bars, colors=[_TUNED], radii=screen_radius(0.7), draw_order=15.0)
     stream.log(f"{sheet}/intervals", lines, static=True)
     _log_dots(stream, f"{sheet}/values", dots, _TUNED, 2.2)
-
-
-def rate_view() -> rrb.View:
-    """Shares of success by what the checks said of the drop, and by ball."""
-    return _view("rates", "success rates, bars: 95 % (Wilson), violet: the paper's")
-
-
-def spread_view() -> rrb.View:
-    """Restitutions by ball."""
     return _view("spreads", "restitution by ball: each attempt with its 95 %, band: mean ± sd")
 
 
@@ -148,21 +141,15 @@ def _rate_words(rate: Rate) -> str:
         return "none"
     low, high = rate.interval95
     return (
-        f"{rate.successes}/{rate.count} = {100 * rate.share:.0f} % "
+        f"{rate.successes}/{rate.count} = {100 * rate.fraction:.0f} % "
         f"({100 * low:.0f} to {100 * high:.0f})"
     )
-
-
-def _spread_words(spread: Spread) -> str:
-    if isnan(spread.deviation):
-        return f"{spread.mean:.4f} (1)"
-    return f"{spread.mean:.4f} ± {spread.deviation:.4f} ({len(spread.values)})"
 
 
 def _log_frame(
     stream: rr.RecordingStream,
     sheet: str,
-    rows: _Rows,
+    rows: _RowAxes,
     marks: Sequence[tuple[float, str]],
     names: Sequence[str],
     figures: Sequence[str],
@@ -177,7 +164,7 @@ def _log_frame(
         labels.append(([_WIDTH + _FIGURES / 2, rows.y(row) - _HANG], figure))
     colors = [MUTED] * len(marks) + [OBSERVED] * (2 * len(names))
     points = rr.Points2D(
-        [place for place, _ in labels],
+        [position for position, _ in labels],
         labels=[text for _, text in labels],
         colors=colors,
         radii=screen_radius(0.1),
@@ -208,9 +195,9 @@ def _log_bars(
 def _log_dots(
     stream: rr.RecordingStream,
     entity: str,
-    places: Sequence[tuple[float, float]],
+    positions: Sequence[tuple[float, float]],
     color: Color,
     points: float,
 ) -> None:
-    dots = rr.Points2D(places, colors=[color], radii=screen_radius(points), draw_order=20.0)
+    dots = rr.Points2D(positions, colors=[color], radii=screen_radius(points), draw_order=20.0)
     stream.log(entity, dots, static=True)

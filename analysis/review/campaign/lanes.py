@@ -10,9 +10,9 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from analysis.review.campaign.times import ATTEMPT, FILM, WALL, Slot
-from analysis.review.colors import FAILURE, MUTED, SUCCESS, Color
-from analysis.review.grid import mixed
-from tunenet_logs.wording import one_line
+from analysis.review.charts import mixed
+from analysis.review.drawing import FAILURE, MUTED, SUCCESS, Color
+from tunenet_logs.text import one_line
 
 _BALLS: tuple[Color, ...] = (
     (90, 130, 190),
@@ -22,6 +22,8 @@ _BALLS: tuple[Color, ...] = (
     (180, 165, 90),
     (90, 170, 175),
 )
+"""Of balls, in turn: muted, so that the lanes of states stand out."""
+
 _AMBER: Color = (225, 165, 50)
 _STATES: dict[str, Color] = {
     "drop": (66, 140, 220),
@@ -42,7 +44,7 @@ LANES = ("1_ball", "2_drop", "3_tuning", "4_shot", "5_outcome")
 """Their names are what is written over them."""
 
 
-class _Step(NamedTuple):
+class _LaneChange(NamedTuple):
     """From when on a lane is in a state."""
 
     lane: str
@@ -54,25 +56,27 @@ class _Step(NamedTuple):
 
 def log_lanes(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
     """Send the entities of `lane_view`."""
-    steps = [step for slot in slots for step in _steps(slot)]
+    changes = [change for slot in slots for change in _changes(slot)]
     for lane in LANES:
-        own = [one for one in steps if one.lane == lane]
+        own = [change for change in changes if change.lane == lane]
         colors = _ball_colors(own) if lane == LANES[0] else _STATES
         style = rr.StateConfiguration(
             values=list(colors), labels=list(colors), colors=list(colors.values())
         )
         stream.log(lane, style, static=True)
-        last = {one.attempt: one.state for one in own}  # of several drops the one that counts
+        # Of an attempt's several drops the last counts.
+        last = {change.attempt: change.state for change in own}
         ends = {**last, slots[-1].attempt.number + 1: None}
         _send(stream, lane, rr.TimeColumn(ATTEMPT, sequence=list(ends)), list(ends.values()))
-        played: dict[float, str | None] = {one.start_s: None for one in slots}  # not yet known
-        played |= {one.film_s: one.state for one in own}
+        played: dict[float, str | None] = {slot.start_s: None for slot in slots}  # not yet known
+        played |= {change.film_s: change.state for change in own}
         played[slots[-1].end_s] = None
         _send(stream, lane, rr.TimeColumn(FILM, duration=list(played)), list(played.values()))
-        timed = [(one.wall_ns, one.state) for one in own if one.wall_ns is not None]
+        timed = [(change.wall_ns, change.state) for change in own if change.wall_ns is not None]
         if timed:
             stamps = np.array([stamp_ns for stamp_ns, _ in timed], "datetime64[ns]")
-            _send(stream, lane, rr.TimeColumn(WALL, timestamp=stamps), [one for _, one in timed])
+            index = rr.TimeColumn(WALL, timestamp=stamps)
+            _send(stream, lane, index, [state for _, state in timed])
 
 
 def lane_view(name: str) -> rrb.View:
@@ -80,38 +84,38 @@ def lane_view(name: str) -> rrb.View:
     return rrb.StateTimelineView(contents=[f"+ /{lane}" for lane in LANES], name=name)
 
 
-def _ball_colors(steps: Sequence[_Step]) -> dict[str, Color]:
+def _ball_colors(changes: Sequence[_LaneChange]) -> dict[str, Color]:
     """One for each ball, none beside one like it."""
-    balls = list(dict.fromkeys(one.state for one in steps))
+    balls = list(dict.fromkeys(change.state for change in changes))
     return {ball: mixed(_BALLS[index % len(_BALLS)], 0.75) for index, ball in enumerate(balls)}
 
 
-def _steps(slot: Slot) -> Iterator[_Step]:
+def _changes(slot: Slot) -> Iterator[_LaneChange]:
     number, outcome = slot.attempt.number, slot.attempt.outcome
     ended_ns = outcome.stamp_ns or None if outcome is not None else None
     first_ns = slot.drops[0].drop.wall_ns if slot.drops else ended_ns
-    yield _Step(LANES[0], one_line(slot.attempt.ball), number, slot.start_s, first_ns)
+    yield _LaneChange(LANES[0], one_line(slot.attempt.ball), number, slot.start_s, first_ns)
     for index, shown in enumerate(slot.drops):
         state = shown.drop.state
         if index and state == "drop":
             state = "drop again"
-        yield _Step(LANES[1], state, number, shown.start_s, shown.drop.wall_ns)
+        yield _LaneChange(LANES[1], state, number, shown.start_s, shown.drop.wall_ns)
     if not slot.drops:
-        yield _Step(LANES[1], "no drop", number, slot.start_s, None)
+        yield _LaneChange(LANES[1], "no drop", number, slot.start_s, None)
     used = slot.attempt.used
     dropped_ns = used.wall_ns if used is not None else None
-    is_tuned = slot.attempt.value is not None
-    yield _Step(LANES[2], "tuned" if is_tuned else "not tuned", number, slot.tuned_s, dropped_ns)
+    tuned = "tuned" if slot.attempt.value is not None else "not tuned"
+    yield _LaneChange(LANES[2], tuned, number, slot.tuned_s, dropped_ns)
     shot = "not shot" if outcome is None else "shot" if slot.attempt.was_shot else "given up"
-    yield _Step(LANES[3], shot, number, slot.shot_s, ended_ns)
+    yield _LaneChange(LANES[3], shot, number, slot.shot_s, ended_ns)
     word = "not told" if outcome is None else outcome.word
-    yield _Step(LANES[4], word, number, slot.outcome_s, ended_ns)
+    yield _LaneChange(LANES[4], word, number, slot.outcome_s, ended_ns)
 
 
 def _send(
     stream: rr.RecordingStream, entity: str, index: rr.TimeColumn, states: Sequence[str | None]
 ) -> None:
     """A state from each time on; None for none."""
-    known = [one for one in states if one is not None]
-    columns = rr.StateChange.columns(state=known).partition([one is not None for one in states])
+    known = [state for state in states if state is not None]
+    columns = rr.StateChange.columns(state=known).partition([state is not None for state in states])
     stream.send_columns(entity, indexes=[index], columns=columns)

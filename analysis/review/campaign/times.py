@@ -1,4 +1,4 @@
-"""When what of a campaign is shown: by attempt, as one film of all drops, and by the clock."""
+"""When each part of a campaign is shown: by attempt, as one film of all drops, by the clock."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from analysis.campaign.attempts import Attempt
 from analysis.campaign.tuned_drop import TunedDrop
 
 ATTEMPT = "attempt"
-"""1, 2, ...: what is stepped through."""
+"""The timeline that is stepped through: 1, 2, ..."""
 
 FILM = "film_s"
-"""All drops one after the other [s]: what plays."""
+"""The timeline that plays: all drops one after the other [s]."""
 
 WALL = "wall_clock"
-"""When it was recorded, where that is known."""
+"""The timeline of when it was recorded, where that is known."""
 
 _UNSEEN_S = 1.0
-"""Of a drop of which nothing is to be seen."""
+"""On `FILM`, of a drop without curves and pictures: long enough to read what it was."""
 
 _STEP_S = 0.5
-"""For which a tuning, a shot and an outcome stand."""
+"""On `FILM`, of a tuning, a shot and an outcome, one after the other: each can be followed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,9 @@ class Slot:
     """One attempt in the film.
 
     Attributes:
-        tuned_s: where its drops are over.
+        drops: in their order.
+        start_s: where it begins on `FILM`.
+        tuned_s: where its drops are over, on `FILM`.
     """
 
     attempt: Attempt
@@ -95,8 +97,8 @@ def slots_of(attempts: Sequence[Attempt]) -> tuple[Slot, ...]:
 def at_attempts(slots: Sequence[Slot]) -> list[rr.TimeColumn]:
     """Indexes of something that is shown from the beginning of each attempt on."""
     return [
-        rr.TimeColumn(ATTEMPT, sequence=[one.attempt.number for one in slots]),
-        rr.TimeColumn(FILM, duration=[one.start_s for one in slots]),
+        rr.TimeColumn(ATTEMPT, sequence=[slot.attempt.number for slot in slots]),
+        rr.TimeColumn(FILM, duration=[slot.start_s for slot in slots]),
     ]
 
 

@@ -1,4 +1,4 @@
-"""A serial arm by its joints, the links that they carry and the frame in which it holds things."""
+"""A serial arm: its joints, the links that they carry, and the tool frame that holds a payload."""
 
 from __future__ import annotations
 
@@ -8,22 +8,29 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from recorders.simulators.arm.frames import HERE, Frame, rpy_from_rotation
-from recorders.simulators.arm.inertia import Inertial, combined, solid_sphere
+from recorders.simulators.arm.rigid_bodies import (
+    IDENTITY,
+    Inertial,
+    Transform,
+    combined,
+    rpy_from_rotation,
+    solid_sphere,
+)
 from recorders.simulators.arm.urdf_reading import FileJoint, FileRobot, read_urdf
 from tunenet_logs.errors import UsageError
-from tunenet_logs.wording import listed, short_name
+from tunenet_logs.text import listed, short_name
 
 PAYLOAD_RADIUS_M = 0.04
-"""Of the solid ball that stands for a payload: its own inertia cannot be told from torques."""
+"""Of the solid ball that stands for a payload: torques do not identify its own inertia."""
 
 JACO_URDF = Path(__file__).with_name("jaco7_robotiq85.urdf")
 JACO_TOOL_LINK = "tool_mount"
 
-_MOST_JOINTS = 32
-_MOST_PAYLOAD_KG = 1000.0
-_MOST_OFFSET_M = 10.0
+_MOST_JOINTS, _MOST_PAYLOAD_KG, _MOST_OFFSET_M = 32, 1000.0, 10.0
+"""More than any arm has: what is beyond is in other units, or no arm."""
+
 _UNLIMITED = 1e9
+"""Stands for infinity in a URDF [rad, rad/s or N·m]: engines read no "inf"."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +77,7 @@ class Payload:
     def __post_init__(self) -> None:
         if not 0 <= self.mass_kg <= _MOST_PAYLOAD_KG:
             raise UsageError(f"payload mass {self.mass_kg:g} is not from 0 to 1000 kg")
-        if len(self.com_m) != 3 or not all(abs(one) <= _MOST_OFFSET_M for one in self.com_m):
+        if len(self.com_m) != 3 or not all(abs(value) <= _MOST_OFFSET_M for value in self.com_m):
             raise UsageError(f"payload centre {self.com_m} is not three numbers within 10 m")
 
     def inertial(self) -> Inertial:
@@ -100,9 +107,10 @@ class Arm:
         return tuple(joint.name for joint in self.joints)
 
     def without_limits(self) -> Arm:
-        """The same arm: where it was measured, it can be."""
+        """The same arm for measured positions: these may be beyond its description's limits."""
         endless = (-math.inf, math.inf)
-        return replace(self, joints=tuple(replace(one, limits_rad=endless) for one in self.joints))
+        joints = (replace(joint, limits_rad=endless) for joint in self.joints)
+        return replace(self, joints=tuple(joints))
 
     def urdf(self, payload: Payload | None = None) -> str:
         """The arm for a physics engine: joints and inertias, no shapes.
@@ -158,7 +166,7 @@ def read_arm(path: Path, tool_link: str) -> Arm:
     _check_movers(path, movers, tool_link)
     carried = _carried(path, robot, {joint.child for joint in movers})
     joints: list[Joint] = []
-    before = HERE
+    before = IDENTITY
     for joint in chain:
         before = before @ joint.origin
         if joint.kind == "fixed":
@@ -183,7 +191,7 @@ def read_arm(path: Path, tool_link: str) -> Arm:
                 link,
             )
         )
-        before = HERE
+        before = IDENTITY
     return Arm(robot.name, tuple(joints), *_as_tuples(before))
 
 
@@ -200,7 +208,7 @@ def _chain(path: Path, robot: FileRobot, tool_link: str) -> list[FileJoint]:
     if tool_link not in robot.links:
         raise UsageError(
             f"{path}: has no link {short_name(tool_link)}; --tool-link is one of "
-            f"{listed(short_name(one) for one in robot.links)}"
+            f"{listed(short_name(name) for name in robot.links)}"
         )
     chain: list[FileJoint] = []
     link, seen = tool_link, {tool_link}
@@ -236,7 +244,7 @@ def _check_movers(path: Path, movers: list[FileJoint], tool_link: str) -> None:
 def _carried(path: Path, robot: FileRobot, movers: set[str]) -> dict[str, list[Inertial]]:
     """What each of the chain's moving links carries, in its frame; "" for the base."""
     carried: dict[str, list[Inertial]] = {child: [] for child in movers} | {"": []}
-    placed: dict[str, tuple[str, Frame]] = {}
+    placed: dict[str, tuple[str, Transform]] = {}
     for link, own in robot.links.items():
         trail: list[str] = []
         at = link
@@ -245,18 +253,18 @@ def _carried(path: Path, robot: FileRobot, movers: set[str]) -> dict[str, list[I
                 raise UsageError(f"{path}: link {short_name(link)} hangs on itself in a loop")
             trail.append(at)
             at = robot.joints[at].parent
-        holder, frame = placed.get(at, (at if at in movers else "", HERE))
-        for one in reversed(trail):
-            frame = frame @ robot.joints[one].origin
-            placed[one] = holder, frame
+        holder, frame = placed.get(at, (at if at in movers else "", IDENTITY))
+        for child in reversed(trail):
+            frame = frame @ robot.joints[child].origin
+            placed[child] = holder, frame
         carried[holder].append(own.seen_from(frame))
     return carried
 
 
 def _as_tuples(
-    frame: Frame,
+    frame: Transform,
 ) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    x, y, z = (float(one) for one in frame.origin_m)
+    x, y, z = (float(value) for value in frame.origin_m)
     return (x, y, z), rpy_from_rotation(frame.rotation)
 
 
@@ -266,7 +274,7 @@ def _link(robot: ET.Element, name: str, weight: Inertial) -> None:
     rpy = rpy_from_rotation(axes)
     ET.SubElement(element, "origin", xyz=_numbers(weight.com_m), rpy=_numbers(rpy))
     ET.SubElement(element, "mass", value=repr(weight.mass_kg))
-    xx, yy, zz = (repr(float(one)) for one in moments)
+    xx, yy, zz = (repr(float(moment)) for moment in moments)
     ET.SubElement(element, "inertia", ixx=xx, ixy="0", ixz="0", iyy=yy, iyz="0", izz=zz)
 
 
@@ -279,4 +287,4 @@ def _ends(
 
 
 def _numbers(values: Sequence[float]) -> str:
-    return " ".join(repr(float(one)) for one in values)
+    return " ".join(repr(float(value)) for value in values)

@@ -12,6 +12,8 @@ from tunenet_logs.arrays import Array
 from tunenet_logs.errors import UsageError
 
 _MOST = 1e6
+"""Of any size, in its own unit: what is larger is not a disturbance but infinite."""
+
 _NEVER_NEGATIVE = (
     "torque_noise_nm",
     "lag_s",
@@ -114,17 +116,16 @@ class Disturbances:
             value = getattr(self, item.name)
             if value == item.default or item.name in ("clock", "noise_seed") or value == ():
                 continue
-            words[item.name] = ", ".join(f"{one:.6g}" for one in np.ravel(value).tolist())
+            words[item.name] = ", ".join(f"{number:.6g}" for number in np.ravel(value).tolist())
         if self.clock != FieldClock():
             clock = self.clock
-            words["fields_hz"] = ", ".join(
-                f"{one:g}" for one in (clock.position_hz, clock.velocity_hz, clock.effort_hz)
-            )
+            rates_hz = (clock.position_hz, clock.velocity_hz, clock.effort_hz)
+            words["fields_hz"] = ", ".join(f"{rate_hz:g}" for rate_hz in rates_hz)
         return words
 
 
 @dataclass(frozen=True)
-class Sizes:
+class DisturbanceScales:
     """Standard deviations from which disturbances are drawn, 0 for none; the default: a real arm.
 
     Attributes:
@@ -143,11 +144,11 @@ class Sizes:
     friction_opposes: bool = True
 
 
-REAL_ARM = Sizes()
-NO_ERRORS = Sizes(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+REAL_ARM = DisturbanceScales()
+NO_ERRORS = DisturbanceScales(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-def drawn(seed: int, arm: Arm, sizes: Sizes = REAL_ARM) -> Disturbances:
+def drawn(seed: int, arm: Arm, sizes: DisturbanceScales = REAL_ARM) -> Disturbances:
     """Disturbances of one arm, drawn from a seed: of torques, and of the arm's description.
 
     The same seed draws the same for every mixture of sizes, scaled.
@@ -155,7 +156,7 @@ def drawn(seed: int, arm: Arm, sizes: Sizes = REAL_ARM) -> Disturbances:
     rng = np.random.default_rng([seed, 0xD217])
     count = len(arm.joints)
     offset, viscous, coulomb, gain, mass = rng.normal(0.0, 1.0, (5, count))
-    com, lag_share = rng.normal(0.0, 1.0, (count, 3)), rng.uniform()
+    com, lag_fraction = rng.normal(0.0, 1.0, (count, 3)), rng.uniform()
     if sizes.friction_opposes:
         viscous, coulomb = np.abs(viscous), np.abs(coulomb)
 
@@ -169,7 +170,7 @@ def drawn(seed: int, arm: Arm, sizes: Sizes = REAL_ARM) -> Disturbances:
         viscous_nm_s=scaled(viscous, sizes.friction_nm),
         coulomb_nm=scaled(coulomb, sizes.friction_nm),
         gain_error=scaled(gain, sizes.gain_error),
-        lag_s=float(sizes.most_lag_s * lag_share),
+        lag_s=float(sizes.most_lag_s * lag_fraction),
         link_mass_error=scaled(np.clip(mass, -4, 4), sizes.link_mass_error),
         link_com_error_m=com_m if sizes.link_com_error_m else (),
         noise_seed=2 * seed,
@@ -177,7 +178,7 @@ def drawn(seed: int, arm: Arm, sizes: Sizes = REAL_ARM) -> Disturbances:
 
 
 def through_kinovas_driver(disturbances: Disturbances, rate_hz: float = 65.0) -> Disturbances:
-    """The same in the messages of a Kinova driver: jitter, fields that are stale, fine steps.
+    """The same in the messages of a Kinova driver: jitter, stale fields, quantised positions.
 
     At 20 messages a second and fewer every field is new in each.
     """

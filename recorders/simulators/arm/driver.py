@@ -13,13 +13,13 @@ from recorders.simulators.arm.disturbances import Disturbances
 from recorders.simulators.arm.dynamics import joint_efforts_nm
 from recorders.simulators.arm.path import JointPath
 from recorders.simulators.arm.payload import joint_signals, payload_info
-from recorders.simulators.engine import engine_name
+from recorders.simulators.engines import engine
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import UsageError
 
 STICKING_RAD_S = 0.01
-"""Coulomb friction changes its sign over about this speed."""
+"""Coulomb friction changes its sign over about this speed, by a tanh."""
 
 
 def perturbed(arm: Arm, disturbances: Disturbances) -> Arm:
@@ -27,13 +27,13 @@ def perturbed(arm: Arm, disturbances: Disturbances) -> Arm:
     joints = list(arm.joints)
     for index, error in enumerate(_per_joint(arm, disturbances, "link_mass_error").tolist()):
         link = joints[index].link
-        x, y, z, *more = (one * (1 + error) for one in link.inertia_kg_m2)
+        x, y, z, *more = (moment * (1 + error) for moment in link.inertia_kg_m2)
         heavier = replace(link, mass_kg=link.mass_kg * (1 + error), inertia_kg_m2=(x, y, z, *more))
         joints[index] = replace(joints[index], link=heavier)
     _per_joint(arm, disturbances, "link_com_error_m")
     for index, off_m in enumerate(disturbances.link_com_error_m):
         link = joints[index].link
-        x, y, z = (one + off for one, off in zip(link.com_m, off_m, strict=True))
+        x, y, z = (at + off for at, off in zip(link.com_m, off_m, strict=True))
         joints[index] = replace(joints[index], link=replace(link, com_m=(x, y, z)))
     return replace(arm, joints=tuple(joints))
 
@@ -80,7 +80,7 @@ def driver_episode(
         np.zeros((len(times), len(arm.joints))),
     )
     held = payload or Payload(0.0)
-    source = f"{engine_name()}, inverse dynamics"
+    source = f"{engine().name}, inverse dynamics"
     info = payload_info(held, source, "default", disturbances.in_words())
     return Episode(info, joint_signals(arm, shown, effort[effort_at.shown]))
 

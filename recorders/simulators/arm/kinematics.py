@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from recorders.simulators.arm.description import Arm
-from recorders.simulators.arm.frames import Frame
+from recorders.simulators.arm.rigid_bodies import Transform
 from tunenet_logs.arrays import Array
 
 
@@ -33,7 +33,7 @@ def link_poses(arm: Arm, position_rad: ArrayLike) -> LinkPoses:
     rotation = np.broadcast_to(np.eye(3), (samples, 3, 3))
     origins, rotations = [origin], [rotation]
     for index, joint in enumerate(arm.joints):
-        at = Frame.at(joint.origin_m, joint.origin_rpy)
+        at = Transform.at(joint.origin_m, joint.origin_rpy)
         axis, moved = np.array(joint.axis), angles[:, index]
         origin = origin + rotation @ at.origin_m
         rotation = rotation @ at.rotation
@@ -43,7 +43,7 @@ def link_poses(arm: Arm, position_rad: ArrayLike) -> LinkPoses:
             rotation = rotation @ _turned(axis, moved)
         origins.append(origin)
         rotations.append(rotation)
-    tool = Frame.at(arm.tool_from_last_m, arm.tool_from_last_rpy)
+    tool = Transform.at(arm.tool_from_last_m, arm.tool_from_last_rpy)
     origins.append(origin + rotation @ tool.origin_m)
     rotations.append(rotation @ tool.rotation)
     return LinkPoses(np.stack(origins, axis=1), np.stack(rotations, axis=1))

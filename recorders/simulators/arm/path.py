@@ -20,10 +20,17 @@ CIRCLE_CSV = Path(__file__).with_name("circle.csv")
 CIRCLE_RAD_S = 1.2
 """The paper's: (-0.4, 0.2 cos(1.2 t), 0.2 sin(1.2 t)) m, here 0.3 m over the arm's base."""
 
-_SPEED_SHARE = 0.7
+_SPEED_FRACTION = 0.7
+"""Of a joint's greatest speed: a driver refuses a path that is at its limits."""
+
 _UNKNOWN_SPEED_RAD_S = 1.0
+"""Greatest speed of a joint whose own is unknown, and of any: random motions are for real arms."""
+
 _FREE_RAD = math.pi
+"""A joint without limits stays within one turn, as cables allow."""
+
 _TRIES = 2000
+"""Draws after which an arm is said to leave no room; they take some seconds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +72,7 @@ class JointPath:
         return JointPath(*(getattr(self, item.name)[kept] for item in fields(self)))
 
     def checked(self, arm: Arm) -> JointPath:
-        """Itself, if the arm has so many joints and may move so.
+        """Itself, if it has the arm's number of joints and stays within their limits.
 
         Raises:
             UsageError: another number of joints, or a position beyond a joint's limits.
@@ -85,7 +92,7 @@ class JointPath:
 
 
 def sample_times(rate_hz: float, seconds: float) -> Array:
-    """Times [s] from 0 at a rate, shape (T,): as many as fit before `seconds`."""
+    """Times from 0 at a rate, as many as fit before `seconds`, shape (T,) [s]."""
     return np.arange(max(round(seconds * rate_hz), 2)) / rate_hz
 
 
@@ -143,7 +150,7 @@ def _waves(arm: Arm, rng: np.random.Generator, times: Array) -> JointPath | None
         phase = np.multiply.outer(times, rad_s) + rng.uniform(0.0, 2 * np.pi, 3)
         position, velocity = np.sin(phase) @ amplitudes, np.cos(phase) @ (amplitudes * rad_s)
         acceleration = -np.sin(phase) @ (amplitudes * rad_s**2)
-        fastest = min(joint.max_velocity_rad_s, _UNKNOWN_SPEED_RAD_S) * _SPEED_SHARE
+        fastest = min(joint.max_velocity_rad_s, _UNKNOWN_SPEED_RAD_S) * _SPEED_FRACTION
         scale = rng.uniform(0.5, 1.0) * fastest / np.abs(velocity).max()
         low, high = joint.limits_rad
         low, high = max(low, -_FREE_RAD), min(high, max(low, -_FREE_RAD) + 2 * _FREE_RAD)
@@ -164,9 +171,10 @@ def _is_clear(arm: Arm, position_rad: Array) -> bool:
 
 
 def eased(path: JointPath, ease_s: float, rate_hz: float) -> JointPath:
-    """The same way from rest to rest: its time begins slowly over `ease_s`, and ends so.
+    """The same way from rest to rest: time scaling that begins and ends smoothly over `ease_s`.
 
-    It takes `ease_s` and up to one row longer than the path, and is nowhere faster.
+    The path's time runs at 0 first, at 1 after `ease_s` (a smoothstep), and at 0 at the end. It
+    takes `ease_s` and up to one row longer than the path, and is nowhere faster.
     """
     from scipy.interpolate import CubicHermiteSpline
 
@@ -175,26 +183,26 @@ def eased(path: JointPath, ease_s: float, rate_hz: float) -> JointPath:
     lasts_s = rows / rate_hz
     ease_s = lasts_s - (end_s - start_s)
     seconds = np.arange(rows + 1) / rate_hz
-    share = np.clip(seconds / ease_s, 0, 1), np.clip((lasts_s - seconds) / ease_s, 0, 1)
-    gone, left = (ease_s * (one**3 - one**4 / 2) for one in share)
+    phases = np.clip(seconds / ease_s, 0, 1), np.clip((lasts_s - seconds) / ease_s, 0, 1)
+    begun, to_end = (ease_s * (phase**3 - phase**4 / 2) for phase in phases)
     middle = np.clip(seconds, ease_s, lasts_s - ease_s) - ease_s
-    way = start_s + gone + middle + (ease_s / 2 - left)
-    speed = np.minimum(*(3 * one**2 - 2 * one**3 for one in share))
+    path_s = start_s + begun + middle + (ease_s / 2 - to_end)
+    speed = np.minimum(*(3 * phase**2 - 2 * phase**3 for phase in phases))
     slope = np.where(seconds < lasts_s / 2, 1.0, -1.0)
-    least = np.minimum(*share)
-    change = slope * 6 * least * (1 - least) / ease_s
+    phase = np.minimum(*phases)
+    change = slope * 6 * phase * (1 - phase) / ease_s
     spline = CubicHermiteSpline(path.seconds, path.position_rad, path.velocity_rad_s)
-    velocity, bend = spline(way, 1), spline(way, 2)
+    velocity, acceleration = spline(path_s, 1), spline(path_s, 2)
     return JointPath(
         seconds,
-        spline(way),
+        spline(path_s),
         velocity * speed[:, None],
-        bend * speed[:, None] ** 2 + velocity * change[:, None],
+        acceleration * speed[:, None] ** 2 + velocity * change[:, None],
     )
 
 
 def path_from_file(arm: Arm, file: Path, rate_hz: float = 60.0) -> JointPath:
-    """A user's motion (time_s and the joints' positions [rad]) as a smooth path.
+    """A user's motion (time_s and the joints' positions [rad]) as a quintic spline through it.
 
     Raises:
         UsageError: the file is no such table, or the arm cannot move so.

@@ -11,13 +11,13 @@ import numpy as np
 
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import LogError, UsageError
-from tunenet_logs.wording import short_name
+from tunenet_logs.text import short_name
 
-_MOST_ROWS = 200_000
-_MOST_COLUMNS = 100
-_MOST_RAD = 1000.0
-_MOST_S = 3600.0
+_MOST_ROWS, _MOST_COLUMNS, _MOST_RAD, _MOST_S = 200_000, 100, 1000.0, 3600.0
+"""An hour at 50 Hz, more joints and turns than an arm has: beyond it, a file is no path."""
+
 _MOST_CHARACTERS = 10_000
+"""Of a line: a file without line ends must not fill the memory."""
 
 
 def read_path_file(file: Path) -> tuple[tuple[str, ...], Array, Array]:
@@ -91,6 +91,13 @@ def write_path_file(
 ) -> None:
     """Write a path; the counterpart of `read_path_file`.
 
+    Args:
+        file: where to.
+        names: of the J joints.
+        seconds: shape (T,).
+        position_rad: shape (T, J).
+        overwrite: replace a file that is there.
+
     Raises:
         LogError: the file is there already, or cannot be written.
     """
@@ -99,7 +106,7 @@ def write_path_file(
             table = csv.writer(stream, lineterminator="\n")
             table.writerow(["time_s", *names])
             for time_s, angles in zip(seconds.tolist(), position_rad.tolist(), strict=True):
-                table.writerow([f"{time_s:.6f}", *(f"{one:.12f}" for one in angles)])
+                table.writerow([f"{time_s:.6f}", *(f"{angle:.12f}" for angle in angles)])
     except FileExistsError as error:
         raise LogError(f"{file}: exists; choose another name, or give --overwrite") from error
     except OSError as error:

@@ -8,11 +8,11 @@ from functools import cached_property
 import numpy as np
 
 from recorders.simulators.arm.description import Arm, Payload
-from recorders.simulators.arm.dynamics import GRAVITY_M_S2, joint_efforts_nm
+from recorders.simulators.arm.dynamics import UPRIGHT_GRAVITY_M_S2, joint_efforts_nm
 from recorders.simulators.arm.path import JointPath
 from recorders.simulators.arm.rollout import CALIBRATED, RolloutSettings, roll_out
 from recorders.simulators.base import Parameter
-from recorders.simulators.engine import engine_name
+from recorders.simulators.engines import engine
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import UsageError
@@ -37,12 +37,18 @@ class PayloadSimulator:
         arm: Arm,
         path: JointPath,
         com_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
-        gravity_m_s2: tuple[float, float, float] = GRAVITY_M_S2,
+        gravity_m_s2: tuple[float, float, float] = UPRIGHT_GRAVITY_M_S2,
     ) -> None:
         self.arm = arm
         self.path = path.checked(arm)
         self.com_m = com_m
         self.gravity_m_s2 = gravity_m_s2
+        self.engine = engine().name
+
+    @property
+    def step_hz(self) -> float:
+        """Torques a second along the path [Hz], by its median spacing."""
+        return 1 / float(np.median(np.diff(self.path.seconds)))
 
     @cached_property
     def empty_efforts_nm(self) -> Array:
@@ -67,7 +73,7 @@ class PayloadSimulator:
     def rollout(self, values: Mapping[str, float]) -> Episode:
         """Move with `values["payload_mass"]`; see `Simulator.rollout`."""
         payload = _payload(values, self.com_m)
-        info = payload_info(payload, f"{engine_name()}, inverse dynamics", "default")
+        info = payload_info(payload, f"{self.engine}, inverse dynamics", "default")
         return Episode(info, joint_signals(self.arm, self.path, self.efforts_nm(payload.mass_kg)))
 
 
@@ -97,6 +103,8 @@ class PayloadRollout:
         self.com_m = com_m
         self.settings = settings
         self.keep_every = keep_every
+        self.engine = engine().name
+        self.step_hz = settings.step_hz
 
     def rollout(self, values: Mapping[str, float]) -> Episode:
         """Move with `values["payload_mass"]`; see `Simulator.rollout`."""
@@ -104,7 +112,7 @@ class PayloadRollout:
         recorded = roll_out(self.arm, self.path, payload, self.settings)
         kept = slice(None, None, self.keep_every)
         path = recorded.path.part(kept)
-        info = payload_info(payload, f"{engine_name()}, rollout", self.settings.name)
+        info = payload_info(payload, f"{self.engine}, rollout", self.settings.name)
         return Episode(info, joint_signals(self.arm, path, recorded.effort_nm[kept]))
 
 

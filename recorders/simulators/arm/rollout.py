@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 
 from recorders.simulators.arm.description import Arm, Payload
-from recorders.simulators.arm.dynamics import GRAVITY_M_S2, load_arm
+from recorders.simulators.arm.dynamics import UPRIGHT_GRAVITY_M_S2
 from recorders.simulators.arm.path import JointPath
-from recorders.simulators.engine import pybullet
+from recorders.simulators.engines import engine
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import UsageError
 
@@ -47,7 +46,7 @@ class RolloutSettings:
     """
 
     name: str
-    gravity_m_s2: tuple[float, float, float] = GRAVITY_M_S2
+    gravity_m_s2: tuple[float, float, float] = UPRIGHT_GRAVITY_M_S2
     step_hz: float = 240.0
     burn_in: int = 150
     samples: int = 1200
@@ -117,49 +116,8 @@ def roll_out(
     path.checked(arm)
     if not np.allclose(path.seconds, settings.times(), rtol=0, atol=1e-9):
         raise ValueError("a rollout's path is wanted at settings.times()")
-    engine, client = pybullet(), _client()
-    engine.resetSimulation(physicsClientId=client)
-    engine.setPhysicsEngineParameter(
-        numSolverIterations=settings.solver_iterations, physicsClientId=client
-    )
-    engine.setTimeStep(1.0 / settings.step_hz, physicsClientId=client)
-    engine.setGravity(*settings.gravity_m_s2, physicsClientId=client)
-    body = load_arm(client, arm, payload, is_damped=settings.is_damped)
-    joints = list(range(len(arm.joints)))
-    targets, speeds = path.position_rad.tolist(), path.velocity_rad_s.tolist()
-    for joint in joints:
-        engine.resetJointState(
-            body, joint, targets[0][joint], speeds[0][joint], physicsClientId=client
-        )
-    states: list[list[tuple[float, float, float]]] = []
-    for target, speed in zip(targets[:-1], speeds[1:], strict=True):
-        engine.setJointMotorControlArray(
-            body,
-            joints,
-            engine.POSITION_CONTROL,
-            targetPositions=target,
-            targetVelocities=speed,
-            forces=[settings.force_nm] * len(joints),
-            positionGains=[settings.position_gain] * len(joints),
-            velocityGains=[settings.velocity_gain] * len(joints),
-            physicsClientId=client,
-        )
-        engine.stepSimulation(physicsClientId=client)
-        found = engine.getJointStates(body, joints, physicsClientId=client)
-        states.append([(one[0], one[1], one[3]) for one in found])
-    return _recorded(np.array(states), settings)
-
-
-def _recorded(states: Array, settings: RolloutSettings) -> Rollout:
-    """From states after each step, shape (steps, J, 3), to what was before and in it."""
+    states = engine().position_control(arm, path, payload, settings)
     before, after = states[settings.burn_in - 1 : -1], states[settings.burn_in :]
     acceleration = (after[..., 1] - before[..., 1]) * settings.step_hz
     seconds = settings.times()[: settings.samples]
     return Rollout(JointPath(seconds, before[..., 0], before[..., 1], acceleration), after[..., 2])
-
-
-@cache
-def _client() -> int:
-    """One world for all rollouts of the process."""
-    engine = pybullet()
-    return engine.connect(engine.DIRECT)

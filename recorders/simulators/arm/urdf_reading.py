@@ -10,15 +10,18 @@ from pathlib import Path
 
 import numpy as np
 
-from recorders.simulators.arm.frames import Frame
-from recorders.simulators.arm.inertia import NOTHING, Inertial
+from recorders.simulators.arm.rigid_bodies import NOTHING, Inertial, Transform
 from tunenet_logs.errors import UsageError
-from tunenet_logs.wording import short_name
+from tunenet_logs.text import short_name
 
-_MOST_BYTES = 4_000_000
-_MOST_PARTS = 1000
+_MOST_BYTES, _MOST_PARTS = 4_000_000, 1000
+"""Size and links of a file: more than any arm's; a larger one is refused before it costs time."""
+
 _MOST_M, _MOST_RAD, _MOST_KG, _MOST_KG_M2 = 100.0, 1000.0, 10_000.0, 1e6
+"""More than any arm has: a larger value is in other units."""
+
 _MOST_LIMIT = 1e9
+"""Of a joint's position [rad or m]: files write large numbers for "none"."""
 _TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
@@ -38,7 +41,7 @@ class FileJoint:
     kind: str
     parent: str
     child: str
-    origin: Frame
+    origin: Transform
     axis: tuple[float, float, float]
     limits: tuple[float, float]
     max_velocity: float
@@ -105,7 +108,7 @@ def _root(path: Path) -> ET.Element:
         raise UsageError(f"{path}: is not XML ({error}); --urdf takes a robot's URDF") from error
     if root.tag != "robot":
         raise UsageError(f"{path}: begins with <{short_name(root.tag)}>, a URDF with <robot>")
-    if any(_is_xacro(one) for one in root.iter()):
+    if any(_is_xacro(element) for element in root.iter()):
         stem = path.name.removesuffix(".xacro").removesuffix(".urdf")
         expanded = f"{stem}.urdf" if path.suffix == ".xacro" else f"{stem}_expanded.urdf"
         raise UsageError(f"{path}: is xacro; expand it first: xacro {path.name} > {expanded}")
@@ -135,7 +138,7 @@ class _Place:
     def numbers(
         self, tag: str, key: str, count: int, most: float, default: str | None = None
     ) -> tuple[float, ...]:
-        """So many numbers in an attribute of the child `tag`, e.g. "inertial/origin"."""
+        """`count` numbers in an attribute of the child `tag`, e.g. "inertial/origin"."""
         child = self.element.find(tag)
         text = default if child is None else child.get(key, default)
         if text is None:
@@ -144,7 +147,7 @@ class _Place:
             values = tuple(float(part) for part in text.split())
         except ValueError:
             values = ()
-        if len(values) != count or not all(math.isfinite(one) for one in values):
+        if len(values) != count or not all(math.isfinite(value) for value in values):
             wanted = "a finite number" if count == 1 else f"{count} finite numbers"
             raise self.wrong(f'has <{tag} {key}="{short_name(text)}">, which is not {wanted}')
         if max(map(abs, values)) > most:
@@ -175,7 +178,7 @@ def _inertial(place: _Place) -> Inertial:
             f"has a principal moment of inertia of {least:.3g} kg m²; none is below 0, "
             "correct its <inertia>"
         )
-    return own.seen_from(Frame.at(*place.frame("inertial/origin")))
+    return own.seen_from(Transform.at(*place.frame("inertial/origin")))
 
 
 def _joint(place: _Place, links: Mapping[str, Inertial]) -> FileJoint:
@@ -193,14 +196,14 @@ def _joint(place: _Place, links: Mapping[str, Inertial]) -> FileJoint:
     length = float(np.linalg.norm(axis))
     if kind in ("revolute", "continuous", "prismatic") and length < 1e-6:
         raise place.wrong('has an <axis> of no direction; give one, such as xyz="0 0 1"')
-    x, y, z = (float(one) for one in axis / max(length, 1e-6))
+    x, y, z = (float(value) for value in axis / max(length, 1e-6))
     limits, max_velocity, max_effort = _limits(place, kind)
     return FileJoint(
         name=place.name,
         kind=kind,
         parent=ends[0],
         child=ends[1],
-        origin=Frame.at(*place.frame("origin")),
+        origin=Transform.at(*place.frame("origin")),
         axis=(x, y, z),
         limits=limits,
         max_velocity=max_velocity,

@@ -1,22 +1,27 @@
-"""What balls do that touch something fixed: a rebound, and Coulomb's friction on their slip."""
+"""What balls can touch, and what an impact does: a rebound, and Coulomb friction on the slip."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from recorders.simulators.shot.rig import ShotRig
 from tunenet_logs.arrays import Array
 
 LEAST_REBOUND_M_S = 0.01
-"""A ball that would stay is thrown up so little (5 um), so that it goes on rolling from impact to
-impact."""
+"""A ball that would stay is thrown up by this (5 um high), so that it goes on rolling from impact
+to impact."""
+
+_SMALLEST_M = 1e-9
+"""Below any length here: it only keeps a direction from being divided by 0."""
 
 
 @dataclass
-class Balls:
-    """Many balls at a moment, each on its own.
+class BallStates:
+    """The states of N balls at a moment; they do not touch each other.
 
     Attributes:
         position_m: of the centres, shape (N, 3).
@@ -30,7 +35,7 @@ class Balls:
 
 
 def collide(
-    balls: Balls,
+    balls: BallStates,
     which: NDArray[np.int64],
     normals: Array,
     restitution: Array,
@@ -40,9 +45,10 @@ def collide(
 ) -> None:
     """Give balls the impulse of an impact, in place.
 
-    Along the normal the speed is reversed times the restitution; across it friction takes the slip
-    of the touching point, at most all of it and at most Coulomb's share of the normal impulse:
-    sticking takes slip / (1 + 1 / k), with k = I / (m r^2); 2/7 of it for a solid sphere.
+    Along the normal the speed is reversed times the restitution (Newton's law of impact); across it
+    friction takes the slip of the touching point, at most all of it, and at most the friction
+    coefficient times the normal impulse (Coulomb's law): sticking takes slip / (1 + 1 / k), with
+    k = I / (m r^2); 2/7 of it for a solid sphere.
 
     Args:
         balls: all of them.
@@ -65,3 +71,66 @@ def collide(
     balls.velocity_m_s[which] = velocity + pushed[:, None] * normals - along
     torque = np.cross(-normals, -along)
     balls.spin_rad_s[which] = spin + torque / (inertia_share * radius_m)
+
+
+class Surface(Protocol):
+    """Something fixed."""
+
+    def gaps_m(self, positions_m: Array) -> Array:
+        """From the ball's skin to it; negative inside. (N, 3) -> (N,)."""
+        ...
+
+    def normals(self, positions_m: Array) -> Array:
+        """Unit vectors from it to the ball's centre. (N, 3) -> (N, 3)."""
+        ...
+
+
+class Board:
+    """The inclined plane, without end; `holds` says where there is one."""
+
+    def __init__(self, rig: ShotRig) -> None:
+        self._normal, self._downhill = rig.plane.normal, rig.plane.downhill
+        self._radius_m, self._end_m = rig.ball.radius_m, rig.plane.downhill_m
+
+    def gaps_m(self, positions_m: Array) -> Array:
+        """See `Surface`."""
+        return positions_m @ self._normal - self._radius_m
+
+    def normals(self, positions_m: Array) -> Array:
+        """See `Surface`."""
+        return np.broadcast_to(self._normal, positions_m.shape)
+
+    def holds(self, positions_m: Array) -> NDArray[np.bool_]:
+        """Whether the board reaches as far down as the balls are, shape (N,)."""
+        return positions_m @ self._downhill <= self._end_m
+
+
+class Rim:
+    """The hoop's rim: a torus about the vertical through its centre."""
+
+    def __init__(self, rig: ShotRig) -> None:
+        self._center_m, self._ring_m = rig.hoop.center_m, rig.hoop.ring_radius_m
+        self._reach_m = rig.ball.radius_m + rig.hoop.rim_m / 2
+
+    def gaps_m(self, positions_m: Array) -> Array:
+        """See `Surface`."""
+        out, up = self._from_ring(positions_m)
+        return np.hypot(out, up) - self._reach_m
+
+    def normals(self, positions_m: Array) -> Array:
+        """See `Surface`."""
+        offset = positions_m - self._center_m
+        out, up = self._from_ring(positions_m)
+        across = np.maximum(np.hypot(offset[:, 0], offset[:, 1]), _SMALLEST_M)
+        away = np.maximum(np.hypot(out, up), _SMALLEST_M)
+        flat = offset[:, :2] * (out / across / away)[:, None]
+        return np.column_stack([flat, up / away])
+
+    def is_within(self, positions_m: Array) -> NDArray[np.bool_]:
+        """Whether centres lie nearer to the hoop's axis than the rim does, shape (N,)."""
+        return self._from_ring(positions_m)[0] < 0
+
+    def _from_ring(self, positions_m: Array) -> tuple[Array, Array]:
+        """From the rim's middle line: outwards and up, each of shape (N,)."""
+        offset = positions_m - self._center_m
+        return np.hypot(offset[:, 0], offset[:, 1]) - self._ring_m, offset[:, 2]

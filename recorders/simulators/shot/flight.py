@@ -1,8 +1,8 @@
-"""Many shots at once, from impact to impact, each met where it is.
+"""Many shots at once, event-driven: each step ends at the first impact in it.
 
-Between impacts a ball flies on a parabola, exactly, or with the air's drag by Runge and Kutta's
-fourth order, whose error at these steps is below 1e-10 m. Where a step would end inside of
-something, it ends where the ball touches.
+Between impacts a ball flies on a parabola, exactly, or with the air's drag by the classical
+Runge-Kutta method (RK4), whose error at these steps is below 1e-10 m. The time of a contact is
+found by regula falsi, every third iteration a bisection.
 """
 
 from __future__ import annotations
@@ -12,10 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from recorders.simulators.shot.contact import Balls, collide
+from recorders.simulators.shot.contact import BallStates, Board, Rim, Surface, collide
 from recorders.simulators.shot.rig import ShotRig
 from recorders.simulators.shot.speed_law import SpeedLaw
-from recorders.simulators.shot.surfaces import Board, Rim, Surface
 from tunenet_logs.arrays import Array
 
 Mask = NDArray[np.bool_]
@@ -24,16 +23,20 @@ STEP_S = 0.002
 """Between positions that are kept."""
 
 COARSE_S = 0.004
-"""Where none is: it moves where a ball passes by less than 0.02 mm."""
+"""Step where no position is kept: it moves where a ball passes by less than 0.02 mm."""
 
 _LONGEST_FALLS = 8
 _LEAST_LONGEST_S = 4.0
-"""A flight ends after so many times its fall, and not before this: a ball may roll for ever."""
+"""A flight ends after 8 times its fall, but not before 4 s: a ball may roll for ever."""
 
 _ROUNDS = 14
+"""Iterations for the time of a contact."""
+
 _OFF_M = 1e-9
+"""Gap that a ball is left with after an impact: rounding must not leave it inside."""
+
 _BELOW_RADII = 3.0
-"""So far below the hoop nothing comes back."""
+"""Ball radii below the hoop from where none comes back."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +65,7 @@ class Flights:
 def fly(
     rig: ShotRig,
     law: SpeedLaw,
-    released: Balls,
+    released: BallStates,
     shifts: Array,
     *,
     has_rim: bool,
@@ -72,13 +75,13 @@ def fly(
     """Let balls go and follow each until it is below the hoop.
 
     Args:
-        rig: where.
-        law: of the balls on the plane.
-        released: at time 0; is changed.
+        rig: plane, hoop and ball.
+        law: restitution of the balls on the plane, by speed.
+        released: N balls at time 0; changed in place.
         shifts: added to each ball's restitution, shape (N,).
         has_rim: whether the rim is in the way.
         step_s: between positions.
-        keep: the positions.
+        keep: whether to return the positions.
     """
     run = _Run(rig, law, released, shifts, has_rim)
     kept = [released.position_m.copy()] if keep else []
@@ -98,7 +101,7 @@ def fly(
     )
 
 
-def _longest_s(rig: ShotRig, released: Balls) -> float:
+def _longest_s(rig: ShotRig, released: BallStates) -> float:
     """How long a ball may take: by the fall, with the air, from the highest start."""
     low_m = min(_floor_m(rig), float(rig.touch_m[2]))
     fall_m = float(released.position_m[:, 2].max(initial=low_m)) - low_m
@@ -119,7 +122,7 @@ class _Run:
     """The shots under way."""
 
     def __init__(
-        self, rig: ShotRig, law: SpeedLaw, balls: Balls, shifts: Array, has_rim: bool
+        self, rig: ShotRig, law: SpeedLaw, balls: BallStates, shifts: Array, has_rim: bool
     ) -> None:
         self._rig, self._law, self._balls, self._shifts = rig, law, balls, shifts
         self._board, self._rim, self._has_rim = Board(rig), Rim(rig), has_rim

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 
 from recorders.simulators.balls import Ball
+from recorders.simulators.base import GRAVITY_M_S2
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import UsageError
 
@@ -156,7 +157,7 @@ class ShotRig:
     plane: Plane = field(default_factory=Plane)
     hoop: Hoop = field(default_factory=Hoop)
     release: Release = field(default_factory=Release)
-    gravity_m_s2: float = 9.81
+    gravity_m_s2: float = GRAVITY_M_S2
 
     def __post_init__(self) -> None:
         if not 0.1 <= self.gravity_m_s2 <= 100:

@@ -11,12 +11,12 @@ from tunenet_logs.arrays import Array
 from tunenet_logs.errors import UsageError
 
 _SLOWEST_M_S = 0.05
-"""Below it a ball is not known better, and the law must not go beyond all bounds."""
+"""The law is constant below this speed: no ball is measured there, and a power law has no bound."""
 
 
 @dataclass(frozen=True)
 class SpeedLaw:
-    """e(v) = restitution (v / at)^-slope.
+    """Power law of the restitution, e(v) = restitution (v / at_m_s)^-slope.
 
     Attributes:
         restitution: at an impact of `at_m_s`.
@@ -40,6 +40,6 @@ class SpeedLaw:
             raise UsageError(f"impact speed {self.at_m_s:g} m/s is not over 0")
 
     def at(self, speeds_m_s: Array) -> Array:
-        """Restitution at impacts of these speeds, from 0 to 1, any shape."""
-        share = np.maximum(speeds_m_s, _SLOWEST_M_S) / self.at_m_s
-        return np.clip(self.restitution * share**-self.slope, 0.0, 1.0)
+        """Restitution at impacts of these speeds [m/s], from 0 to 1, of their shape."""
+        ratio = np.maximum(speeds_m_s, _SLOWEST_M_S) / self.at_m_s
+        return np.clip(self.restitution * ratio**-self.slope, 0.0, 1.0)

@@ -6,8 +6,10 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-from analysis.record import to_json
-from analysis.tuning import Options, tune_log
+from analysis.record import record_of
+from analysis.record_json import to_json
+from analysis.selection import Options
+from analysis.tuning import tune_log
 from recorders.session import record_episode
 from recorders.simulated_drop import DropOrder, simulate_drop
 from tests.conftest import record
@@ -41,7 +43,7 @@ def drop_at(path: Path, stamp_ns: int) -> Path:
 
 def tune(path: Path) -> None:
     """Write a log's tuning beside it."""
-    path.with_suffix(".json").write_text(to_json(tune_log(path, Options())))
+    path.with_suffix(".json").write_text(to_json(record_of(tune_log(path, Options()))))
 
 
 def told(path: Path, **changes: object) -> None:

@@ -11,10 +11,10 @@ import pytest
 from analysis.campaign.attempts import Attempt, attempts_of
 from analysis.campaign.build import campaign_of
 from analysis.campaign.files import Material, material_of, natural
-from analysis.campaign.rates import ball_rates, overall_rates, spreads, wilson95
+from analysis.campaign.rates import ball_rates, overall_rates, restitutions_by_ball, wilson95
 from analysis.campaign.small_film import RATE_HZ, WIDTH_PX, small_film
 from analysis.campaign.tuned_drop import TunedDrop, read_tuned_drop
-from analysis.drop.curves import TunedCurves
+from analysis.record import Curves
 from tests.analysis.campaign import campaigns
 from tests.analysis.campaign.campaigns import MINUTE_NS, START_NS
 from tunenet_logs.errors import LogError, UsageError
@@ -44,7 +44,7 @@ def drop(name: str, verdict: str = "ok", ball: str = "", start_ns: int = 0) -> T
         reason="",
         value=None if verdict == "rejected" else 0.7,
         interval95=None,
-        overlay=TunedCurves(start_ns, line, line, line),
+        overlay=Curves(start_ns, line, line, line),
     )
 
 
@@ -159,10 +159,10 @@ def test_the_last_outcome_of_an_attempt_counts():
 def test_restitutions_spread_by_ball():
     outcomes = [outcome(k, tuned_parameter=0.7 + k / 100) for k in (1, 2, 3)]
     outcomes.append(outcome(4, "racquetball", tuned_parameter=0.8))
-    gel, other = spreads(attempts(outcomes, []))
-    assert (gel.mean, gel.deviation) == (pytest.approx(0.72), pytest.approx(0.01))
+    gel, other = restitutions_by_ball(attempts(outcomes, []))
+    assert (gel.mean, gel.sd) == (pytest.approx(0.72), pytest.approx(0.01))
     assert gel.attempts == (1, 2, 3)
-    assert np.isnan(other.deviation)
+    assert np.isnan(other.sd)
 
 
 def test_an_attempt_without_a_good_drop_was_given_up():

@@ -11,7 +11,7 @@ import pytest
 from analysis.campaign.attempts import attempts_of
 from analysis.campaign.build import campaign_of
 from analysis.campaign.files import Material, material_of
-from analysis.campaign.rates import ball_rates, overall_rates, spreads
+from analysis.campaign.rates import ball_rates, overall_rates, restitutions_by_ball
 from analysis.campaign.small_film import small_film
 from analysis.evaluation.shots.campaign import draw_trials, outcome_of
 from analysis.evaluation.shots.ground_truth_shot import take_shot
@@ -158,7 +158,7 @@ def test_every_shot_that_was_planned_with_a_drop_has_it():
     assert [one.value for one in found] == [0.7] * 3
     _, accepted, rejected = overall_rates(found)
     assert (accepted.count, rejected.count) == (3, 0)
-    (spread,) = spreads(found)
+    (spread,) = restitutions_by_ball(found)
     assert (spread.values, spread.attempts) == ((0.7,), (1,))
 
 

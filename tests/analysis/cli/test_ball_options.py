@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from analysis.cli.ball import ball_as_told
+from analysis.cli.options import known_ball
 from analysis.cli.tune import build_parser
 from recorders.simulators.balls import BALLS, Ball
 from tests.conftest import Command
@@ -14,7 +14,7 @@ from tunenet_logs.errors import UsageError
 
 
 def told(*words: str) -> Ball:
-    return ball_as_told(build_parser().parse_args(["a.mp4", *words]))
+    return known_ball(build_parser().parse_args(["a.mp4", *words]))
 
 
 def test_a_ball_by_name_by_measure_or_both():

@@ -10,16 +10,17 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
-from analysis.drop.bounces import bounces_of
-from analysis.drop.checks import sure_check
 from analysis.drop.review.bounces import bounce_view
-from analysis.drop.review.model_path import film_places, model_path
-from analysis.drop.review.story import review_data
-from analysis.experiment import FitResult, Rebound
-from analysis.record import to_json
+from analysis.drop.review.film import film_positions, model_path
+from analysis.drop.review.review_data import review_data
+from analysis.estimators.base import FitResult
+from analysis.record import Rebound, record_of
+from analysis.record_json import to_json
 from analysis.review.tuning_review import write_review
 from analysis.review.words import result_words
-from analysis.tuning import Options, Tuning, tune_log
+from analysis.selection import Options
+from analysis.tuning import tune_log
+from analysis.tuning_result import Tuning
 from tests.analysis.drop.test_review import contents, verified
 
 RESTITUTIONS = (0.700, 0.712, 0.731)
@@ -44,7 +45,7 @@ def drawn(path: Path, entity: str) -> list[str]:
 
 def with_rebounds(tuning: Tuning, speeds: tuple[float | None, ...] = SPEEDS) -> Tuning:
     """A tuning whose refinement tells three bounces apart."""
-    drop = tuning.found.drop
+    drop = tuning.detection.drop
     assert tuning.trace is not None
     value = float(tuning.trace.estimate[0])
     ends = np.array([[value - 0.004, value + 0.004]])
@@ -53,9 +54,13 @@ def with_rebounds(tuning: Tuning, speeds: tuple[float | None, ...] = SPEEDS) -> 
         Rebound(float(at), one, (one - 0.01, one + 0.01), speed)
         for at, one, speed in zip(drop.impact_s + flights, RESTITUTIONS, speeds, strict=True)
     )
-    refined = FitResult(np.array([value]), ends, sure_check(*ends[0]), rebounds)
+    fit = FitResult(np.array([value]), ends, detail=rebounds)
     steps = (*tuning.trace.steps, tuning.trace.steps[-1])
-    return replace(tuning, refined=refined, trace=replace(tuning.trace, steps=steps))
+    return replace(tuning, trace=replace(tuning.trace, steps=steps, fit=fit))
+
+
+def words_of(tuning: Tuning) -> str:
+    return result_words(record_of(tuning), tuning.preset, "drop")
 
 
 def doubted(tuning: Tuning) -> Tuning:
@@ -65,7 +70,7 @@ def doubted(tuning: Tuning) -> Tuning:
 
 
 def test_the_json_has_every_bounce(filmed: Tuning):
-    bounces = json.loads(to_json(with_rebounds(filmed)))["bounces"]
+    bounces = json.loads(to_json(record_of(with_rebounds(filmed))))["bounces"]
     assert [one["restitution"] for one in bounces] == list(RESTITUTIONS)
     assert [one["impact_speed"] for one in bounces] == list(SPEEDS)
     assert bounces[1]["interval95"] == pytest.approx([0.702, 0.722])
@@ -75,32 +80,32 @@ def test_the_json_has_every_bounce(filmed: Tuning):
 def test_no_bounce_has_an_interval_where_the_tuning_has_none(filmed: Tuning):
     tuning = doubted(with_rebounds(filmed, (None, None, None)))
     assert tuning.interval95 is None
-    for one in json.loads(to_json(tuning))["bounces"]:
+    for one in json.loads(to_json(record_of(tuning)))["bounces"]:
         assert one["interval95"] is None
         assert one["impact_speed"] is None
 
 
 def test_without_a_refinement_there_is_the_first(filmed: Tuning):
-    (only,) = bounces_of(filmed)
+    (only,) = record_of(filmed).rebounds
     assert filmed.estimate is not None
     assert only.restitution == filmed.estimate[0]
     assert only.interval95 is None
     assert only.impact_speed_m_s == pytest.approx(np.sqrt(2 * 9.81), rel=0.03)
-    assert bounces_of(replace(filmed, verdict="rejected")) == ()
+    assert record_of(replace(filmed, verdict="rejected")).rebounds == ()
 
 
 def test_the_words_name_bounces_interval_and_cross_check(filmed: Tuning):
-    words = result_words(with_rebounds(filmed))
+    words = words_of(with_rebounds(filmed))
     assert "| 2 | 0.712 | 0.702 to 0.722 | 3.10 m/s |" in words
     assert "95 %: " in words
     assert "cross-check agrees: 0.7" in words
-    unsure = result_words(doubted(with_rebounds(filmed, (None, None, None))))
+    unsure = words_of(doubted(with_rebounds(filmed, (None, None, None))))
     assert "| 2 | 0.712 | - | - |" in unsure
     assert "95 %: " not in unsure
 
 
 def test_the_chart_of_the_bounces_stays_on_any_timeline(filmed: Tuning, tmp_path: Path):
-    write_review(with_rebounds(filmed), tmp_path / "a.rrd")
+    write_review(with_rebounds(filmed), record_of(with_rebounds(filmed)), tmp_path / "a.rrd")
     verified(tmp_path / "a.rrd")
     entities = contents(tmp_path / "a.rrd")
     for name in ("bounces/values", "bounces/intervals", "convergence/interval"):
@@ -113,24 +118,24 @@ def test_the_chart_shows_no_more_than_is_known(filmed: Tuning, tmp_path: Path):
     assert named == "restitution by impact speed [m/s], bars: 95 %"
     tuning = doubted(with_rebounds(filmed, (None, None, None)))
     assert bounce_view(review_data(tuning)).name == "restitution by bounce"
-    write_review(tuning, tmp_path / "b.rrd")
+    write_review(tuning, record_of(tuning), tmp_path / "b.rrd")
     verified(tmp_path / "b.rrd")
     assert "/sheets/convergence/interval" not in contents(tmp_path / "b.rrd")
     assert drawn(tmp_path / "b.rrd", "/sheets/bounces/labels")[-3:] == ["1", "2", "3"]
 
 
 def test_a_review_without_bounces_has_no_such_view(filmed: Tuning, tmp_path: Path):
-    write_review(filmed, tmp_path / "a.rrd")
+    write_review(filmed, record_of(filmed), tmp_path / "a.rrd")
     assert not [one for one in contents(tmp_path / "a.rrd") if one.startswith("/sheets/bounces")]
 
 
 def test_the_results_path_goes_where_the_ball_was_seen(filmed: Tuning):
-    story, film = review_data(filmed), filmed.found.film
-    path = model_path(film, story) - 0.5
+    data, film = review_data(filmed), filmed.detection.film
+    path = model_path(film, data) - 0.5
     seen = film.track.places_px[film.used]
     away = np.linalg.norm(seen[:, None] - path[None], axis=2).min(axis=1)
     assert np.quantile(away, 0.95) < 1.5
-    contact = film_places(film, story.impacts_s, np.zeros(len(story.impacts_s)), story.impacts_s)
+    contact = film_positions(film, data.impacts_s, np.zeros(len(data.impacts_s)), data.impacts_s)
     lowest = float((seen @ film.down_px).max())
     assert np.abs(contact @ film.down_px - lowest).max() < 2
     assert np.linalg.norm(contact[0] - path, axis=1).min() < 0.1
@@ -148,7 +153,7 @@ def test_impacts_are_marked_where_the_ball_hits(filmed: Tuning):
 
 
 def test_the_latest_bounce_is_named_over_the_video(filmed: Tuning, tmp_path: Path):
-    write_review(with_rebounds(filmed), tmp_path / "a.rrd")
+    write_review(with_rebounds(filmed), record_of(with_rebounds(filmed)), tmp_path / "a.rrd")
     entities = contents(tmp_path / "a.rrd")
     assert entities["/film/path"] == {"static"}
     assert entities["/film/impacts"] == {"static"}
@@ -161,10 +166,10 @@ def test_a_rejected_drop_is_shown_with_what_to_do_and_no_value(filmed: Tuning, t
     failed = [replace(one, passed=False, fatal=True) for one in filmed.checks[1:3]]
     checks = (filmed.checks[0], *failed, *filmed.checks[3:])
     tuning = replace(filmed, checks=checks, verdict="rejected", reason="first flight seen: 0.1")
-    write_review(tuning, tmp_path / "a.rrd")
+    write_review(tuning, record_of(tuning), tmp_path / "a.rrd")
     verified(tmp_path / "a.rrd")
     assert "/sheets/convergence/interval" not in contents(tmp_path / "a.rrd")
-    words = result_words(tuning)
+    words = words_of(tuning)
     assert "**rejected**: first flight seen: 0.1" in words
     assert "# restitution" not in words
     assert "- record until the ball lies still\n- drop onto the middle of a large" in words

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.experiment import Selection
-from analysis.tuning import Options, Tuning, tune_log
+from analysis.selection import Options, Selection
+from analysis.tuning import tune_log
+from analysis.tuning_result import Tuning
 from recorders.session import record_episode
 from tests.conftest import record
 from tests.strangers import Stranger, bounce_heights, without_chunks, write_poses

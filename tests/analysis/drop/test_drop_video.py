@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.experiment import Selection
-from analysis.tracking.track import Hints
-from analysis.tuning import Options, Tuning, tune_log
+from analysis.selection import Hints, Options, Selection
+from analysis.tuning import tune_log
+from analysis.tuning_result import Tuning
 from recorders.filmed_drop import FilmOrder, film_drop
 from recorders.session import record_episode
 from recorders.simulated_drop import DropOrder
@@ -115,7 +115,7 @@ def test_positions_come_before_pictures_unless_a_topic_says_so(short: Path, tmp_
     assert value(tune_log(path, Options())) == pytest.approx(0.4, abs=0.01)
     camera = tune_log(path, Options(selection=Selection(topic="/webcam")))
     assert value(camera) == pytest.approx(0.7, abs=0.01)
-    assert camera.found.topic == "/webcam"
+    assert camera.detection.topic == "/webcam"
     hints = Hints(roi=(0, 0, 300, 200), ball_at=(1, 2, 0))
     (told,) = tune_log(path, Options(selection=Selection(hints=hints))).warnings
     assert "--roi, --ball-at not used" in told
@@ -150,18 +150,18 @@ def test_the_camera_that_sees_the_drop_is_found(short: Path, tmp_path: Path):
             writer.write_frame("/b_drop", frame)
     tuning = tune_log(path, Options())
     assert value(tuning) == pytest.approx(0.7, abs=0.01)
-    assert tuning.found.topic == "/b_drop"
+    assert tuning.detection.topic == "/b_drop"
 
 
 def test_part_of_a_film(short: Path, tuned: Tuning):
     part = tune_log(short, Options(selection=Selection(start_s=0.4, end_s=1.7)))
     assert value(part) == pytest.approx(0.7, abs=0.015)
-    assert part.found.drop.impact_s == pytest.approx(tuned.found.drop.impact_s, abs=0.005)
+    assert part.detection.drop.impact_s == pytest.approx(tuned.detection.drop.impact_s, abs=0.005)
 
 
 def test_the_ball_marked_while_it_was_recorded(short: Path, tuned: Tuning, tmp_path: Path):
     episode = read_episode(short)
-    track = tuned.found.film.track
+    track = tuned.detection.film.track
     above, flying = ("{:.1f},{:.1f}".format(*track.places_px[index]) for index in (0, 20))
     notes = {"ball_at_px": flying, "ball_at_stamp_ns": str(track.stamps_ns[20])}
     wrong = {
@@ -199,7 +199,7 @@ def test_the_papers_network_on_its_own_kind_of_film(tmp_path: Path):
     path = tmp_path / "paper.mcap"
     episode = film_drop(order, FilmOrder(size_px=(100, 100)))
     record_episode(episode, path, overwrite=False, progress=Progress(quiet=True))
-    tuning = tune_log(path, Options(preset="paper", initial=0.5))
+    tuning = tune_log(path, Options(preset="paper", initial=(0.5,)))
     assert not tuning.physical
     assert tuning.cross_check is None
     assert value(tuning) == pytest.approx(0.5, abs=0.3)
@@ -300,4 +300,4 @@ def test_a_bad_mark_is_one_line_that_names_it(command: Command, words: tuple[str
 def test_a_strangers_poses_still_need_no_pictures(tmp_path: Path):
     stamps, positions = Stranger(restitution=0.55, gap_m=0.8).samples()
     write_poses(tmp_path / "a.mcap", stamps, positions)
-    assert tune_log(tmp_path / "a.mcap", Options()).found.film is None
+    assert tune_log(tmp_path / "a.mcap", Options()).detection.film is None

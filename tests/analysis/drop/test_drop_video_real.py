@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from analysis import batch
-from analysis.tuning import Tuning, tune_log
+from analysis.tuning import tune_log
+from analysis.tuning_result import Tuning
 from tests.analysis.films import short_film
 from tests.conftest import Command, Made, real
 from tunenet_logs.reader import read_episode
@@ -55,7 +56,7 @@ def test_a_clip_of_a_phone_is_tuned(phone: Phone):
 
 def test_a_real_ball_by_hand(phone: Phone):
     """Impacts were read from the clip by eye: frames 201.6 and 281.2; it leaves at 287."""
-    track = phone.tuning.found.film.track
+    track = phone.tuning.detection.film.track
     assert track.found[140:286].mean() > 0.98
     assert not track.found[290:].any()
     height = track.places_px[:, 1]

@@ -10,7 +10,7 @@ import pytest
 from analysis.drop.film import canonical_film, find_filmed_drop
 from analysis.drop.film_checks import film_checks, hop_check, scale_checks
 from analysis.tracking.track import Track
-from recorders.simulators.bounce import Bounce
+from recorders.simulators.closed_form.bounce import Bounce
 from tests.strangers import bounce_heights
 from tunenet_logs.errors import NotFoundError
 
@@ -129,7 +129,7 @@ def test_a_ball_is_one_as_far_as_one_law_goes(
 def test_where_heights_are_in_the_picture_and_back():
     fit = find_filmed_drop(filmed(0.6, perspective=0.4), 0).projection
     heights = np.linspace(-0.02, 1, 30)
-    assert fit.heights(fit.places_px(heights)) == pytest.approx(heights, abs=1e-9)
+    assert fit.heights(fit.positions_px(heights)) == pytest.approx(heights, abs=1e-9)
 
 
 def flight_only() -> np.ndarray:

@@ -7,19 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from analysis.drop.detection import FilmDetection
 from analysis.drop.film import canonical_film
-from analysis.drop.film_presets import PRESETS, FilmPlan, any_rig, film_of
-from analysis.drop.from_film import DropVideoTask
+from analysis.drop.film_presets import TRAININGS, FilmPlan, any_rig, film_of
+from analysis.drop.from_film import DropFromFilm
 from analysis.estimators.tunenet import TuneNet
-from analysis.experiment import Selection
 from analysis.tunenet.checkpoint import shipped_model
 from analysis.tunenet.network import Model
+from recorders.simulators.balls import Ball
 from recorders.simulators.contact import CALIBRATED
 from recorders.simulators.drop import DropRig, DropSimulator
 from tunenet_logs.progress import Progress
 
 RIG = DropRig(1.0, 0.03, 60.0, 180, 0.2)
-TASK = DropVideoTask()
+EXPERIMENT = DropFromFilm()
 
 
 @pytest.fixture(scope="module")
@@ -29,14 +30,14 @@ def simulator() -> DropSimulator:
 
 @pytest.fixture(scope="module")
 def model() -> Model:
-    return shipped_model(PRESETS["default"].purpose)
+    return shipped_model(TRAININGS["default"].purpose)
 
 
 def network_alone(model: Model, plan: FilmPlan, simulator: DropSimulator) -> float:
     film = film_of(plan, simulator)
     assert film is not None
-    found = TASK.find_in_track(film.track, 0, Selection(), "default")
-    return float(TuneNet(model).estimate(TASK.problem(found, np.zeros(1)), 5).estimate[0])
+    found = FilmDetection(True, "", 0, film.track, Ball())
+    return float(TuneNet(model).estimate(EXPERIMENT.problem(found, np.zeros(1)), 5).estimate[0])
 
 
 @pytest.mark.parametrize(
@@ -85,7 +86,7 @@ def test_equal_observations_do_not_differ(
 
 
 def test_training_pairs_are_of_a_simulation_and_a_film():
-    pairs = PRESETS["default"].make_pairs(16, 1011, 1, Progress(quiet=True))
+    pairs = TRAININGS["default"].make_pairs(16, 1011, 1, Progress(quiet=True))
     simulated = pairs.observations[pairs.proposed]
     assert np.isfinite(simulated).all()
     assert set(pairs.proposed) <= set(range(16))
@@ -102,5 +103,5 @@ def test_drag_asked_of_one_flight_is_said_to_be_little_known():
         simulator = DropSimulator(replace(RIG, samples=samples), CALIBRATED)
         film = film_of(FilmPlan(simulator.rig, 0.8, 1000, 0.1), simulator)
         assert film is not None
-        found = TASK.find_in_track(film.track, 0, Selection(fit_drag=True), "default")
+        found = FilmDetection(True, "", 0, film.track, Ball(), fit_drag=True)
         assert any("one flight tells little" in one for one in found.warnings) == warned

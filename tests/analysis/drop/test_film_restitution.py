@@ -8,25 +8,34 @@ import numpy as np
 import pytest
 
 from analysis.drop.film import FilmedDrop, find_filmed_drop
-from analysis.drop.film_doubts import clock_doubt, size_doubt
+from analysis.drop.film_checks import clock_test, size_trend
 from analysis.drop.film_restitution import film_rebounds, film_value
-from analysis.drop.flight_times import flight_ratio
-from analysis.evaluation.fault_tracks import BAD_CLASSES, BadClass
-from analysis.evaluation.tracks import A, B, Balls, C, Shot, TrackSet, draw_shot, film
-from analysis.experiment import Selection
-from analysis.tuning import Options, tune_track
+from analysis.drop.rebounds import flight_ratio
+from analysis.evaluation.track_tuning import tune_track
+from analysis.evaluation.video.fault_tracks import TRACK_FAULTS, TrackFault
+from analysis.evaluation.video.tracks import (
+    A,
+    B,
+    BallRanges,
+    C,
+    TrackScene,
+    TrackSet,
+    draw_scene,
+    film,
+)
+from analysis.selection import Options, Selection
 from recorders.simulators.balls import BALLS, Ball
 
 SEED = -77
 TENNIS_TABLE = BALLS["table-tennis"]
 
 
-def shots(which: TrackSet, balls: Balls, noise_px: float, count: int) -> list[Shot]:
-    return [draw_shot(which, balls, noise_px, SEED, number) for number in range(count)]
+def scenes(which: TrackSet, balls: BallRanges, noise_px: float, count: int) -> list[TrackScene]:
+    return [draw_scene(which, balls, noise_px, SEED, number) for number in range(count)]
 
 
-def found(shot: Shot, ball: Ball | None = None, *, fit_drag: bool = False) -> FilmedDrop:
-    return find_filmed_drop(film(shot), 0, ball, fit_drag=fit_drag)
+def found(scene: TrackScene, ball: Ball | None = None, *, fit_drag: bool = False) -> FilmedDrop:
+    return find_filmed_drop(film(scene), 0, ball, fit_drag=fit_drag)
 
 
 @pytest.mark.parametrize(
@@ -39,7 +48,7 @@ def found(shot: Shot, ball: Ball | None = None, *, fit_drag: bool = False) -> Fi
 def test_ideal_balls_before_any_camera(
     which: TrackSet, noise_px: float, most: float, count: int, most_missed: int
 ):
-    drops = shots(which, Balls((0.1, 0.95)), noise_px, count)
+    drops = scenes(which, BallRanges((0.1, 0.95)), noise_px, count)
     assert_close(drops, most, most_missed)
 
 
@@ -47,26 +56,26 @@ def test_ideal_balls_before_any_camera(
     ("count", "most_missed"), [(6, 1), pytest.param(16, 3, marks=pytest.mark.slow)]
 )
 def test_a_restitution_that_falls_with_speed(count: int, most_missed: int):
-    balls = Balls((0.3, 0.9), slope=(0.05, 0.2))
-    assert_close(shots(B, balls, 0.3, count), 0.004, most_missed)
+    balls = BallRanges((0.3, 0.9), slope=(0.05, 0.2))
+    assert_close(scenes(B, balls, 0.3, count), 0.004, most_missed)
 
 
-def assert_close(drops: list[Shot], most: float, most_missed: int) -> None:
-    """The mean error, and of how many shots the interval may miss the truth."""
+def assert_close(drops: list[TrackScene], most: float, most_missed: int) -> None:
+    """The mean error, and of how many scenes the interval may miss the truth."""
     errors, missed = [], []
-    for shot in drops:
-        value = film_value(found(shot), 0.5)
-        truth = shot.ball.restitution
+    for scene in drops:
+        value = film_value(found(scene), 0.5)
+        truth = scene.ball.restitution
         errors.append(abs(value.restitution - truth))
         missed.append(not value.interval95[0] <= truth <= value.interval95[1])
     assert np.mean(errors) < most
     assert sum(missed) <= most_missed
 
 
-def in_air(number: int) -> Shot:
+def in_air(number: int) -> TrackScene:
     drag_1_m = TENNIS_TABLE.drag_1_m or 0.0
     light = TrackSet("light", (0.5, 2.0), 0.02)
-    return draw_shot(light, Balls((0.5, 0.9), drag_1_m=drag_1_m), 0.3, SEED, number)
+    return draw_scene(light, BallRanges((0.5, 0.9), drag_1_m=drag_1_m), 0.3, SEED, number)
 
 
 @pytest.mark.parametrize("count", [3, pytest.param(10, marks=pytest.mark.slow)])
@@ -86,57 +95,58 @@ def test_a_ball_that_is_not_known_may_be_light(count: int):
     drops = [in_air(number) for number in range(count)]
     values = [film_value(found(one), 0.5) for one in drops]
     off = [
-        abs(one.restitution - shot.ball.restitution)
-        for one, shot in zip(values, drops, strict=True)
+        abs(one.restitution - scene.ball.restitution)
+        for one, scene in zip(values, drops, strict=True)
     ]
     assert np.median(off) < 0.008
     asked = [film_value(found(one, fit_drag=True), 0.5).restitution for one in drops]
-    off = [abs(one - shot.ball.restitution) for one, shot in zip(asked, drops, strict=True)]
+    off = [abs(one - scene.ball.restitution) for one, scene in zip(asked, drops, strict=True)]
     assert np.median(off) < 0.006
 
 
 def test_where_the_network_starts_changes_nothing_that_matters():
-    drop = found(draw_shot(B, Balls((0.6, 0.6)), 0.3, SEED, 3))
+    drop = found(draw_scene(B, BallRanges((0.6, 0.6)), 0.3, SEED, 3))
     values = [film_value(drop, initial).restitution for initial in (0.1, 0.6, 0.9)]
     assert np.ptp(values) < 1e-4
 
 
 def test_each_bounce_has_its_own_restitution():
-    shot = draw_shot(B, Balls((0.6, 0.6), slope=(0.15, 0.15)), 0.3, SEED, 1)
-    bounces = film_rebounds(film_value(found(shot), 0.5))
+    scene = draw_scene(B, BallRanges((0.6, 0.6), slope=(0.15, 0.15)), 0.3, SEED, 1)
+    bounces = film_rebounds(film_value(found(scene), 0.5))
     speed, expected = 1.0, []
     for _ in bounces:
         expected.append(0.6 * speed**-0.15)
         speed *= expected[-1]
     assert len(bounces) >= 3
     for bounce, truth in zip(bounces, expected, strict=True):
+        assert bounce.interval95 is not None
         low, high = bounce.interval95
         assert abs(bounce.restitution - truth) < max(high - low, 0.006)
     assert bounces[0].impact_speed_m_s == pytest.approx(
-        np.sqrt(2 * 9.81 * shot.ball.drop_m), rel=0.02
+        np.sqrt(2 * 9.81 * scene.ball.drop_m), rel=0.02
     )
     speeds = [one.impact_speed_m_s or 0.0 for one in bounces]
     assert speeds[1] == pytest.approx(0.6 * speeds[0], rel=0.02)
 
 
 def test_flights_alone_tell_the_second_restitution():
-    for shot in shots(B, Balls((0.5, 0.8)), 0.3, 6):
-        ratio = flight_ratio(found(shot).best)
+    for scene in scenes(B, BallRanges((0.5, 0.8)), 0.3, 6):
+        ratio = flight_ratio(found(scene).best)
         assert ratio is not None
-        assert abs(ratio.value - shot.ball.restitution) < 0.02 + 4 * ratio.sd
+        assert abs(ratio.value - scene.ball.restitution) < 0.02 + 4 * ratio.sd
         assert ratio.sd < 0.05
 
 
 def test_flights_alone_tell_how_sure_their_ratio_is():
     """Over 100 tracks of one ball, it spreads as its error says, within a quarter."""
-    best = found(draw_shot(B, Balls((0.65, 0.65)), 0.3, SEED, 0)).best
-    exact_px = best.samples.places_px + best.left_px
+    best = found(draw_scene(B, BallRanges((0.65, 0.65)), 0.3, SEED, 0)).best
+    exact_px = best.samples.positions_px + best.residuals_px
     rng = np.random.default_rng(4)
     values, sds = [], []
     for _ in range(100):
         noise_px = rng.normal(0.0, best.scale_px, len(exact_px))
-        samples = replace(best.samples, places_px=exact_px + noise_px)
-        ratio = flight_ratio(replace(best, samples=samples, left_px=-noise_px))
+        samples = replace(best.samples, positions_px=exact_px + noise_px)
+        ratio = flight_ratio(replace(best, samples=samples, residuals_px=-noise_px))
         assert ratio is not None
         values.append(ratio.value)
         sds.append(ratio.sd)
@@ -144,25 +154,25 @@ def test_flights_alone_tell_how_sure_their_ratio_is():
 
 
 def test_a_clock_that_jumps_is_seen_and_an_even_one_is_not_doubted():
-    even = [clock_doubt(found(one).best)[0] for one in shots(B, Balls((0.4, 0.8)), 0.3, 8)]
+    even = [clock_test(found(one).best)[0] for one in scenes(B, BallRanges((0.4, 0.8)), 0.3, 8)]
     assert max(even) < 10
-    track = film(draw_shot(B, Balls((0.7, 0.7)), 0.3, SEED, 2))
+    track = film(draw_scene(B, BallRanges((0.7, 0.7)), 0.3, SEED, 2))
     stamps_ns = track.stamps_ns.copy()
     middle = int(np.searchsorted(stamps_ns, stamps_ns[-1] // 2))
     stamps_ns[middle:] -= stamps_ns[middle] - stamps_ns[middle - 1] - 1_000_000
-    gain, moment_s = clock_doubt(find_filmed_drop(replace(track, stamps_ns=stamps_ns), 0).best)
+    gain, moment_s = clock_test(find_filmed_drop(replace(track, stamps_ns=stamps_ns), 0).best)
     assert gain > 12
     assert moment_s == pytest.approx(stamps_ns[middle] * 1e-9, abs=0.2)
 
 
 def test_a_ball_that_comes_nearer_is_seen():
-    shot = draw_shot(B, Balls((0.7, 0.7)), 0.3, SEED, 4)
-    drop = found(shot)
+    scene = draw_scene(B, BallRanges((0.7, 0.7)), 0.3, SEED, 4)
+    drop = found(scene)
     along = -(drop.track.places_px[drop.used] @ drop.down_px)
     radius = drop.track.radius_px[drop.used]
-    steady = size_doubt(drop.drop.seconds, along, radius, drop.projection)
+    steady = size_trend(drop.drop.seconds, along, radius, drop.projection)
     share = np.linspace(0, np.log(1.4), len(radius))
-    nearer = size_doubt(drop.drop.seconds, along, radius * np.exp(share), drop.projection)
+    nearer = size_trend(drop.drop.seconds, along, radius * np.exp(share), drop.projection)
     assert steady is not None
     assert nearer is not None
     assert abs(steady.grows) < 0.1
@@ -170,22 +180,22 @@ def test_a_ball_that_comes_nearer_is_seen():
     assert abs(steady.perspective) < 0.2
 
 
-@pytest.mark.parametrize("bad", BAD_CLASSES, ids=lambda one: one.name)
+@pytest.mark.parametrize("bad", TRACK_FAULTS, ids=lambda one: one.name)
 @pytest.mark.parametrize(
     "numbers", [(0,), pytest.param((1, 2), marks=pytest.mark.slow)], ids=["one", "more"]
 )
-def test_no_bad_track_is_trusted_and_wrong(bad: BadClass, numbers: tuple[int, ...]):
+def test_no_bad_track_is_trusted_and_wrong(bad: TrackFault, numbers: tuple[int, ...]):
     for number in numbers:
-        shot = draw_shot(replace(B, name="bad"), Balls((0.3, 0.9)), 0.3, SEED, number)
-        tuning = tune_track(bad.track(shot), Options())
+        scene = draw_scene(replace(B, name="bad"), BallRanges((0.3, 0.9)), 0.3, SEED, number)
+        tuning = tune_track(bad.track(scene), Options())
         if tuning.verdict == "ok":
             assert bad.bounces
             assert tuning.estimate is not None
-            assert abs(tuning.estimate[0] - shot.ball.restitution) < 0.05
+            assert abs(tuning.estimate[0] - scene.ball.restitution) < 0.05
 
 
 def test_a_good_track_is_ok_with_an_interval():
-    tuning = tune_track(film(draw_shot(B, Balls((0.6, 0.6)), 0.3, SEED, 5)), Options())
+    tuning = tune_track(film(draw_scene(B, BallRanges((0.6, 0.6)), 0.3, SEED, 5)), Options())
     assert tuning.verdict == "ok", tuning.reason
     assert tuning.interval95 is not None
     low, high = tuning.interval95[0]
@@ -195,7 +205,7 @@ def test_a_good_track_is_ok_with_an_interval():
 
 
 def test_a_ball_of_known_size_needs_a_true_clock():
-    track = film(draw_shot(B, Balls((0.6, 0.6)), 0.3, SEED, 6))
+    track = film(draw_scene(B, BallRanges((0.6, 0.6)), 0.3, SEED, 6))
     slow = replace(track, stamps_ns=track.stamps_ns * 8)
     told = Options(selection=Selection(ball=Ball(diameter_m=0.05)))
     assert "frame rate" in (tune_track(slow, told).reason or "")

@@ -7,7 +7,7 @@ import pytest
 
 from analysis.drop import observations as views
 from analysis.drop.free_fall import find_drops
-from analysis.estimators.observation import resample
+from analysis.estimators.base import resample
 from recorders.simulators.contact import CALIBRATED
 from recorders.simulators.drop import DropRig, DropSimulator
 from tests.strangers import bounce_heights

@@ -11,10 +11,13 @@ import pytest
 from mcap.writer import Writer
 from rerun.chunk import RrdReader
 
-from analysis.drop.review.model_path import projected_places
-from analysis.drop.review.story import review_data
+from analysis.drop.review.film import film_positions
+from analysis.drop.review.review_data import review_data
+from analysis.record import record_of
 from analysis.review.tuning_review import write_review
-from analysis.tuning import Options, Tuning, tune_log
+from analysis.selection import Options
+from analysis.tuning import tune_log
+from analysis.tuning_result import Tuning
 from tests.conftest import BIN, record
 from tests.strangers import Stranger, write_poses
 from tunenet_logs.episode import EpisodeInfo
@@ -49,7 +52,7 @@ def filmed(filmed_log: Path) -> Tuning:
 
 
 def test_every_iteration_lies_on_the_logs_time(tuned: Tuning, tmp_path: Path):
-    write_review(tuned, tmp_path / "a.rrd")
+    write_review(tuned, record_of(tuned), tmp_path / "a.rrd")
     verified(tmp_path / "a.rrd")
     entities = contents(tmp_path / "a.rrd")
     for k in range(6):
@@ -61,7 +64,7 @@ def test_every_iteration_lies_on_the_logs_time(tuned: Tuning, tmp_path: Path):
 
 
 def test_iterations_can_be_scrubbed_over_a_fixed_observed_curve(tuned: Tuning, tmp_path: Path):
-    write_review(tuned, tmp_path / "a.rrd")
+    write_review(tuned, record_of(tuned), tmp_path / "a.rrd")
     entities = contents(tmp_path / "a.rrd")
     assert entities["/sheets/heights/observed"] == {"static"}
     assert entities["/sheets/heights/simulated"] >= {"iteration"}
@@ -72,13 +75,15 @@ def test_iterations_can_be_scrubbed_over_a_fixed_observed_curve(tuned: Tuning, t
 @pytest.mark.parametrize("preset", ["paper", "paper-code"])
 def test_the_papers_presets_have_a_review_too(tmp_path: Path, preset: str):
     path = record(tmp_path / "a.mcap", preset="paper", restitution=0.5, height_m=4.0)
-    write_review(tune_log(path, Options(preset=preset)), tmp_path / "a.rrd")
+    write_review(
+        tuning := tune_log(path, Options(preset=preset)), record_of(tuning), tmp_path / "a.rrd"
+    )
     verified(tmp_path / "a.rrd")
 
 
 def test_a_rejected_log_shows_what_was_recorded(tmp_path: Path):
     path = record(tmp_path / "a.mcap", restitution=0.0, height_m=1.0)
-    write_review(tune_log(path, Options()), tmp_path / "a.rrd")
+    write_review(tuning := tune_log(path, Options()), record_of(tuning), tmp_path / "a.rrd")
     verified(tmp_path / "a.rrd")
     assert "/recorded/ball/pose/z" in contents(tmp_path / "a.rrd")
 
@@ -87,7 +92,9 @@ def test_names_of_a_stranger_do_no_harm(tmp_path: Path):
     stamps, positions = Stranger(0.0).samples()
     topic = "/../we ird/тема//[x]{y}/\x07"
     write_poses(tmp_path / "a.mcap", stamps, positions, topic=topic)
-    write_review(tune_log(tmp_path / "a.mcap", Options()), tmp_path / "a.rrd")
+    write_review(
+        tuning := tune_log(tmp_path / "a.mcap", Options()), record_of(tuning), tmp_path / "a.rrd"
+    )
     verified(tmp_path / "a.rrd")
 
 
@@ -95,7 +102,9 @@ def test_names_of_a_stranger_are_parts_of_a_path(tmp_path: Path, capfd: pytest.C
     stamps, positions = Stranger(0.0).samples()
     stamps, positions = stamps[:60], positions[:60]  # nothing falls yet
     write_poses(tmp_path / "a.mcap", stamps, positions, topic="/bäll pose/\x1b[31mx//y")
-    write_review(tune_log(tmp_path / "a.mcap", Options()), tmp_path / "a.rrd")
+    write_review(
+        tuning := tune_log(tmp_path / "a.mcap", Options()), record_of(tuning), tmp_path / "a.rrd"
+    )
     assert capfd.readouterr() == ("", "")
     assert r"/recorded/bäll\ pose/\u{001B}\[31mx/y/z" in contents(tmp_path / "a.rrd")
 
@@ -104,7 +113,7 @@ def test_of_thousands_of_signals_the_first_are_drawn(tmp_path: Path):
     write_channels(tmp_path / "a.mcap", 400)
     tuning = tune_log(tmp_path / "a.mcap", Options())
     assert len(tuning.episode.signals) == 400  # type: ignore[union-attr]
-    write_review(tuning, tmp_path / "a.rrd")
+    write_review(tuning, record_of(tuning), tmp_path / "a.rrd")
     verified(tmp_path / "a.rrd")
     recorded = [one for one in contents(tmp_path / "a.rrd") if one.startswith("/recorded/")]
     assert len(recorded) == 150
@@ -126,26 +135,26 @@ def write_channels(path: Path, count: int) -> None:
 
 def test_a_place_that_cannot_be_written_raises(tuned: Tuning):
     with pytest.raises(OSError, match="proc"):
-        write_review(tuned, Path("/proc/nowhere/a.rrd"))
+        write_review(tuned, record_of(tuned), Path("/proc/nowhere/a.rrd"))
 
 
 def test_the_simulated_curve_of_the_result_lies_on_the_observed_one(tuned: Tuning):
-    story = review_data(tuned)
-    off = story.simulated[-1].minus(story.observed).heights_m
+    data = review_data(tuned)
+    off = data.residuals[-1].heights_m
     assert np.abs(off).max() < 1e-3
 
 
 def test_the_papers_rollouts_lie_over_the_observed_curve_too(tmp_path: Path):
     path = record(tmp_path / "a.mcap", preset="paper", restitution=0.55, height_m=4.0)
-    story = review_data(tune_log(path, Options(preset="paper-code")))
-    off = story.simulated[-1].minus(story.observed).heights_m
-    falling = story.observed.seconds < story.impact_s
+    data = review_data(tune_log(path, Options(preset="paper-code")))
+    off = data.residuals[-1].heights_m
+    falling = data.observed.seconds < data.impact_s
     assert np.abs(off[falling]).max() < 0.05
     assert np.sqrt(np.mean(off**2)) < 0.1
 
 
 def test_a_film_lies_under_its_balls_on_the_logs_time(filmed: Tuning, tmp_path: Path):
-    write_review(filmed, tmp_path / "a.rrd")
+    write_review(filmed, record_of(filmed), tmp_path / "a.rrd")
     verified(tmp_path / "a.rrd")
     entities = contents(tmp_path / "a.rrd")
     for place in ("picture", "observed", "trail", *(f"k{k}" for k in range(6))):
@@ -155,14 +164,18 @@ def test_a_film_lies_under_its_balls_on_the_logs_time(filmed: Tuning, tmp_path: 
 
 
 def test_the_simulated_balls_are_projected_onto_the_observed_one(filmed: Tuning):
-    film, story = filmed.found.film, review_data(filmed)
-    places = film.track.places_px[film.used]
-    late = film.drop.seconds > story.impact_s + 0.1
-    first, last = (
-        projected_places(film, story.simulated[k], story.drop_height_m)[late] for k in (0, -1)
-    )
-    assert np.sqrt(np.mean((last - places[late]) ** 2)) < 0.5
-    assert np.sqrt(np.mean((first - places[late]) ** 2)) > 5
+    film, data = filmed.detection.film, review_data(filmed)
+    observed = film.track.places_px[film.used]
+    late = film.drop.seconds > data.impact_s + 0.1
+
+    def rms_px(k: int) -> float:
+        curve = data.simulated[k]
+        heights = np.interp(film.drop.seconds, curve.seconds, curve.heights_m) / data.drop_height_m
+        off = film_positions(film, film.drop.seconds, heights) - observed
+        return float(np.sqrt(np.mean(off[late] ** 2)))
+
+    assert rms_px(-1) < 0.5
+    assert rms_px(0) > 5
 
 
 def test_a_rejected_film_shows_its_pictures(filmed_log: Path, tmp_path: Path):
@@ -172,6 +185,6 @@ def test_a_rejected_film_shows_its_pictures(filmed_log: Path, tmp_path: Path):
             writer.write_frame("/camera", frame)
     tuning = tune_log(tmp_path / "a.mcap", Options())
     assert tuning.verdict == "rejected"
-    write_review(tuning, tmp_path / "a.rrd")
+    write_review(tuning, record_of(tuning), tmp_path / "a.rrd")
     verified(tmp_path / "a.rrd")
     assert contents(tmp_path / "a.rrd")["/film/picture"] == {"log_time_s"}

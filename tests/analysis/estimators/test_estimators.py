@@ -8,8 +8,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from analysis.estimators.base import Problem
-from analysis.estimators.observation import Observation
+from analysis.estimators.base import Observation, Problem
 from analysis.estimators.tunenet import TuneNet
 from analysis.tunenet.network import Model
 from recorders.simulators.base import Parameter
@@ -22,6 +21,8 @@ class Line:
     """A simulator whose observation is its parameter."""
 
     parameters = (RESTITUTION,)
+    engine = "none"
+    step_hz = 1.0
 
     def rollout(self, values: Mapping[str, float]) -> Episode:
         return Episode(EpisodeInfo(truth=values), {})

@@ -7,7 +7,7 @@ import pytest
 
 from analysis.payload.arm_log import read_arm_log
 from analysis.payload.arm_motion import arm_motion
-from analysis.payload.refresh_times import even_clock
+from analysis.payload.driver_quirks import even_clock
 from recorders.simulators.arm.description import Payload
 from recorders.simulators.arm.disturbances import FieldClock
 from recorders.simulators.arm.path import circle_at

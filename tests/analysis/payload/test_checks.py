@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.payload.arm_checks import arm_checks
 from analysis.payload.arm_log import read_arm_log
 from analysis.payload.arm_motion import arm_motion
-from analysis.payload.checks import payload_checks
+from analysis.payload.checks import arm_checks, payload_checks
 from analysis.payload.torque_fit import fit_payload
 from recorders.simulators.arm.description import Payload
 from recorders.simulators.arm.driver import driver_episode

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.experiment import Selection
-from analysis.tuning import Options, Tuning, tune_episode, tune_log
+from analysis.selection import Options, Selection
+from analysis.tuning import tune_episode, tune_log
+from analysis.tuning_result import Tuning
 from recorders.session import record_episode
 from recorders.simulated_payload import PayloadOrder, simulate_payload
 from recorders.simulators.arm.description import JACO_TOOL_LINK, JACO_URDF, Payload, jaco
@@ -321,4 +322,4 @@ def test_a_topic_that_is_not_there_is_said_with_those_that_are(logs: tuple[Path,
 
 def test_a_first_guess_beyond_any_arm_is_wrong_usage(logs: tuple[Path, Path]):
     with pytest.raises(UsageError, match="payload_mass"):
-        tune_log(logs[0], Options(initial=50.0))
+        tune_log(logs[0], Options(initial=(50.0,)))

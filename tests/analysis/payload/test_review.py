@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
-from analysis.experiment import Selection
 from analysis.payload.review.arm_scene import payload_radius_m
-from analysis.payload.review.story import payload_review_data
+from analysis.payload.review.review_data import payload_review_data
+from analysis.record import record_of
 from analysis.review.tuning_review import write_review
-from analysis.tuning import Options, Tuning, tune_episode, tune_log
+from analysis.selection import Options, Selection
+from analysis.tuning import tune_episode, tune_log
+from analysis.tuning_result import Tuning
 from recorders.simulated_payload import PayloadOrder, simulate_payload
 from recorders.simulators.arm.kinematics import link_positions_m
 from tests.analysis.drop.test_review import contents, verified
@@ -38,7 +40,7 @@ def series(path: Path, entity: str, component: str) -> tuple[Array, Array]:
 
 def drawn(tuning: Tuning, folder: Path) -> Path:
     path = folder / "a.rrd"
-    write_review(tuning, path)
+    write_review(tuning, record_of(tuning), path)
     verified(path)
     return path
 
@@ -55,7 +57,7 @@ def review(tuned: Tuning, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_torques_lie_on_the_logs_time(tuned: Tuning, review: Path):
-    found = tuned.found
+    found = tuned.detection
     for joint in range(7):
         torque, residual = f"/torque/joint_{joint + 1}", f"/residual/joint_{joint + 1}"
         times, observed = series(review, f"{torque}/observed", "Scalars:scalars")
@@ -72,28 +74,28 @@ def test_the_torques_lie_on_the_logs_time(tuned: Tuning, review: Path):
 def test_the_last_iteration_is_the_rigid_arm_with_the_result(tuned: Tuning, review: Path):
     _, simulated = series(review, "/torque/joint_2/iterations", "Scalars:scalars")
     assert tuned.estimate is not None
-    expected = tuned.found.simulator.efforts_nm(float(tuned.estimate[0]))
+    expected = tuned.detection.simulator.efforts_nm(float(tuned.estimate[0]))
     assert simulated[:, -1] == pytest.approx(expected[:, 1])
 
 
 def test_the_fit_explains_what_the_rigid_arm_does_not(tuned: Tuning):
-    story = payload_review_data(tuned)
-    assert story.fitted is not None
+    data = payload_review_data(tuned)
+    assert data.fitted is not None
     rigid, fitted = (
-        np.sqrt(np.mean((one.effort_nm - story.observed_nm) ** 2))
-        for one in (story.result, story.fitted)
+        np.sqrt(np.mean((one.effort_nm - data.observed_nm) ** 2))
+        for one in (data.result, data.fitted)
     )
     assert fitted < 0.25
     assert rigid > 1.5 * fitted
 
 
 def test_joints_that_feel_the_payload_most_come_first(tuned: Tuning):
-    story = payload_review_data(tuned)
-    assert [joint + 1 for joint in story.order] == [2, 4, 5, 6, 3, 1, 7]
+    data = payload_review_data(tuned)
+    assert [joint + 1 for joint in data.order] == [2, 4, 5, 6, 3, 1, 7]
 
 
 def test_the_arm_is_where_it_was_measured(tuned: Tuning, review: Path):
-    found = tuned.found
+    found = tuned.detection
     times, tool_m = series(review, "/scene/arm/tool", "Transform3D:translation")
     assert np.diff(times).max() < 2 / 30
     at = np.column_stack(
@@ -181,7 +183,7 @@ def test_torques_of_no_arm_are_shown_as_rejected(tmp_path: Path):
 
 def test_a_log_without_torques_shows_what_was_recorded(tmp_path: Path):
     tuning = tune_log(real("ros1/jaco2_no_effort.bag"), Options(task="payload"))
-    assert tuning.found is None
+    assert tuning.detection is None
     entities = contents(drawn(tuning, tmp_path))
     assert r"/recorded/joint_states.position/jaco_joint_1" in {
         one.replace("\\", "") for one in entities
@@ -189,5 +191,5 @@ def test_a_log_without_torques_shows_what_was_recorded(tmp_path: Path):
 
 
 def test_a_rejected_mass_is_not_shown(tuned: Tuning):
-    assert payload_review_data(tuned).is_told
-    assert not payload_review_data(replace(tuned, verdict="rejected")).is_told
+    assert payload_review_data(tuned).has_estimate
+    assert not payload_review_data(replace(tuned, verdict="rejected")).has_estimate

@@ -7,12 +7,10 @@ import pytest
 
 from analysis.payload import torque_fit as payload_fit
 from analysis.payload.arm_log import read_arm_log
-from analysis.payload.arm_model import ArmModel
 from analysis.payload.arm_motion import arm_motion
-from analysis.payload.evidence import Model
-from analysis.payload.terms import Convention
-from analysis.payload.torque_fit import fit_payload
-from analysis.payload.two_rollout_mass import secant
+from analysis.payload.evidence import WeightedModel
+from analysis.payload.torque_fit import fit_payload, secant
+from analysis.payload.torque_model import ArmModel, Convention
 from recorders.simulators.arm.description import Payload
 from recorders.simulators.arm.disturbances import Disturbances
 from recorders.simulators.arm.driver import driver_episode
@@ -97,14 +95,14 @@ def test_a_tare_may_be_another_motion():
     assert fit.interval95[0] < MASS_KG < fit.interval95[1]
 
 
-def test_the_centre_of_mass_is_told_with_a_tare():
+def test_the_centre_of_mass_is_identifiable_with_a_tare():
     disturbances = driver(41)
     com_m = (0.025, -0.02, 0.015)
     tare = motion_of(circle_log(None, disturbances.another_run()))
     fit = fit_payload(ARM, motion_of(circle_log(Payload(0.9, com_m), disturbances)), tare)
-    assert fit.centre.is_told
+    assert fit.centre.is_identifiable
     assert fit.off_centre > 0.95
-    assert "told apart" in fit.told_apart
+    assert "told apart" in fit.identifiability
     assert fit.mass_kg == pytest.approx(0.9, abs=0.04)
     np.testing.assert_allclose(fit.centre.com_m, com_m, atol=0.02)
     sds = np.abs(np.array(fit.centre.com_m) - com_m) / fit.centre.sds_m
@@ -113,9 +111,9 @@ def test_the_centre_of_mass_is_told_with_a_tare():
 
 def test_without_a_tare_the_centre_stays_open(real):
     _, fit = real
-    assert not fit.centre.is_told
-    assert "cannot tell" in fit.told_apart
-    assert "--tare" in fit.told_apart
+    assert not fit.centre.is_identifiable
+    assert "cannot tell" in fit.identifiability
+    assert "--tare" in fit.identifiability
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -124,9 +122,9 @@ def test_sign_and_gravity_are_found(sign, has_gravity):
     episode = circle_log(HELD, replace(driver(51), rate_hz=60.0, clock=CLEAN.clock, jitter_s=0.0))
     motion = motion_of(episode)
     position, _, _ = motion.at(motion.seconds)
-    held_nm = 0.0 if has_gravity else ArmModel(ARM).held_nm(position)
-    told = replace(motion, effort=sign * (motion.effort - held_nm))
-    fit = fit_payload(ARM, told)
+    gravity_nm = 0.0 if has_gravity else ArmModel(ARM).gravity_nm(position)
+    converted = replace(motion, effort=sign * (motion.effort - gravity_nm))
+    fit = fit_payload(ARM, converted)
     assert fit.convention == Convention(sign, has_gravity)
     assert fit.mass_kg == pytest.approx(MASS_KG, abs=0.15)
 
@@ -242,8 +240,8 @@ def test_the_centres_error_is_that_of_a_ratio():
     rng = np.random.default_rng(3)
     mass_kg, com_m = 0.6, np.array([0.18, -0.05, 0.02])
     root = rng.normal(0.0, 0.004, (4, 4)) + np.diag([0.02, 0.004, 0.004, 0.004])
-    model = Model({}, 1.0, np.array([mass_kg, *(mass_kg * com_m)]), root @ root.T)
-    drawn = rng.multivariate_normal(model.means, model.watched, 200_000)
+    model = WeightedModel({}, 1.0, np.array([mass_kg, *(mass_kg * com_m)]), root @ root.T)
+    drawn = rng.multivariate_normal(model.means, model.covariance, 200_000)
     centre = payload_fit._centre((model,))
     assert centre.com_m == pytest.approx(com_m)
     assert centre.sds_m == pytest.approx((drawn[:, 1:] / drawn[:, :1]).std(axis=0), rel=0.03)

@@ -173,8 +173,8 @@ def test_a_page_that_is_loaded_again_is_not_closed(
 def test_a_click_is_a_place_and_a_time(page: tuple[MarkingPage, Marking], whole: Album):
     asked, marking = page
     assert asked.tune(100.25, 60, 30) == 204
-    assert marking.wait() == (100.25, 60, whole.shots[30].seconds)
-    assert whole.shots[30].seconds == pytest.approx(0.5)
+    assert marking.wait() == (100.25, 60, whole.thumbnails[30].seconds)
+    assert whole.thumbnails[30].seconds == pytest.approx(0.5)
     assert asked.ask("POST", "/without")[0] == 204
     assert marking.wait() is None
 

@@ -13,9 +13,12 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
+from analysis.record import record_of
 from analysis.review.tuning_review import write_review
+from analysis.selection import Options
 from analysis.tracking.thumbnails import album_of
-from analysis.tuning import Options, Tuning, tune_log
+from analysis.tuning import tune_log
+from analysis.tuning_result import Tuning
 from tests.analysis.films import short_film
 from tests.conftest import Made
 from tests.picture_strangers import (
@@ -96,10 +99,10 @@ def test_tunes_to_the_same_and_is_shown(short: Path, reference: float, tmp_path:
     assert [one for one in tuning.warnings if "checksum" not in one] == []
     album = album_of(read_episode(path), "/anything")
     assert album.size_px == next(read_episode(short).frames()).size_px()
-    assert all(is_whole(shot.data) for shot in album.shots)
-    assert len(album.shots) > 60
-    write_review(tuning, tmp_path / "a.rrd")
-    assert jpeg_count(tmp_path / "a.rrd") == len(tuning.found.film.drop.seconds)
+    assert all(is_whole(thumbnail.data) for thumbnail in album.thumbnails)
+    assert len(album.thumbnails) > 60
+    write_review(tuning, record_of(tuning), tmp_path / "a.rrd")
+    assert jpeg_count(tmp_path / "a.rrd") == len(tuning.detection.film.drop.seconds)
 
 
 def jpeg_count(review: Path) -> int:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from analysis.tracking import thumbnails as album
+from analysis.tracking import thumbnails
 from analysis.tracking.thumbnails import album_of
 from tests.recorders.test_video_file import write_video
 from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame
@@ -30,10 +30,10 @@ def episode_of(frames: list[Frame]) -> Episode:
 
 def test_long_recordings_are_thinned_evenly(monkeypatch: pytest.MonkeyPatch):
     data = picture()
-    monkeypatch.setattr(album, "MOST_BYTES", 20 * len(data))
+    monkeypatch.setattr(thumbnails, "MOST_BYTES", 20 * len(data))
     frames = [Frame(10**9 + number * 10**7, "jpeg", data) for number in range(500)]
     kept = album_of(episode_of(frames), "/eye")
-    seconds = [shot.seconds for shot in kept.shots]
+    seconds = [thumbnail.seconds for thumbnail in kept.thumbnails]
     assert 10 <= len(seconds) <= 20
     assert seconds[0] == 0
     assert np.ptp(np.diff(seconds)) < 1e-9
@@ -44,18 +44,18 @@ def test_a_video_is_made_smaller_and_its_marks_are_not(tmp_path: Path):
     path = write_video(tmp_path / "a.mp4", stamps)
     video = read_episode(path)
     kept = album_of(video, "video")
-    assert 150 <= len(kept.shots) <= album.MOST_REDUCED
-    assert all(shot.data.startswith(b"\xff\xd8") for shot in kept.shots)
+    assert 150 <= len(kept.thumbnails) <= thumbnails.MOST_REDUCED
+    assert all(thumbnail.data.startswith(b"\xff\xd8") for thumbnail in kept.thumbnails)
     pixels = np.zeros((1000, 2000, 3), np.uint8)
     large = Frame(0, "rgb8", pixels.tobytes(), (2000, 1000))
     kept = album_of(episode_of([large]), "/eye")
     assert kept.size_px == (2000, 1000)
-    shown = cv2.imdecode(np.frombuffer(kept.shots[0].data, np.uint8), cv2.IMREAD_COLOR)
+    shown = cv2.imdecode(np.frombuffer(kept.thumbnails[0].data, np.uint8), cv2.IMREAD_COLOR)
     assert shown is not None
     assert shown.shape == (480, 960, 3)
     heavy = Frame(0, "jpeg", picture(1200, 900, quality=100))
-    (shot,) = album_of(episode_of([heavy]), "/eye").shots
-    assert len(shot.data) < len(heavy.data)
+    (thumbnail,) = album_of(episode_of([heavy]), "/eye").thumbnails
+    assert len(thumbnail.data) < len(heavy.data)
 
 
 def test_what_cannot_be_shown_is_left_out():
@@ -71,8 +71,8 @@ def test_what_cannot_be_shown_is_left_out():
         replace(good, stamp_ns=5 * 10**9),
     ]
     kept = album_of(episode_of(frames), "/eye")
-    assert [shot.seconds for shot in kept.shots] == [1, 5]
+    assert [thumbnail.seconds for thumbnail in kept.thumbnails] == [1, 5]
     kept = album_of(episode_of(frames), "/eye", start_s=0.5, end_s=4.5)
-    assert [shot.seconds for shot in kept.shots] == [1]
+    assert [thumbnail.seconds for thumbnail in kept.thumbnails] == [1]
     with pytest.raises(UsageError, match="no picture"):
         album_of(episode_of(frames[:1]), "/eye")

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from analysis.drop.film import find_filmed_drop
+from analysis.drop.projected_track import projected_track
+from analysis.evaluation.track_tuning import tune_track
+from analysis.selection import Hints, Options
 from analysis.tracking.pictures import Pictures
-from analysis.tracking.projected import projected_track
-from analysis.tracking.track import Hints, Track, track_ball
-from analysis.tuning import Options, tune_track
+from analysis.tracking.track import Track, track_ball
 from recorders.filmed_drop import FilmOrder, film_drop
 from recorders.simulated_drop import DropOrder, simulate_drop
 from recorders.simulators.drop import TOPIC

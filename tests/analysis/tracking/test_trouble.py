@@ -12,7 +12,7 @@ from analysis.drop.film import find_filmed_drop
 from analysis.tracking.background import middle_of
 from analysis.tracking.candidates import Candidates
 from analysis.tracking.pictures import Pictures
-from analysis.tracking.second_look import SecondLook
+from analysis.tracking.redetection import Redetection
 from analysis.tracking.track import Track, track_ball
 from recorders.simulated_drop import simulate_drop
 from recorders.simulators.drop import TOPIC
@@ -152,5 +152,5 @@ def test_seen_twice_in_one_place_a_ball_that_turns_back_counts_twice(
         whole=np.ones((count, 1), dtype=bool),
         misfits=np.zeros((count, 1)),
     )
-    look = SecondLook(table, table.places_px[:, 0], np.arange(count) == 4)
-    assert tuple(look.fresh()) == kept
+    second = Redetection(table, table.places_px[:, 0], np.arange(count) == 4)
+    assert tuple(second.new_frames()) == kept

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.registry import TASKS
+from analysis.drop.presets import TRAININGS
 from analysis.tunenet.checkpoint import Purpose, load_model, save_model, shipped_model
 from analysis.tunenet.network import NETWORKS, Model, Scaling, initial_weights
 from tunenet_logs.errors import WeightsError
@@ -79,8 +79,8 @@ def test_wrong_shapes_are_refused(saved: Path):
         load_model(saved, replace(PURPOSE, inputs=13))
 
 
-@pytest.mark.parametrize("name", TASKS["drop"].presets)
+@pytest.mark.parametrize("name", TRAININGS)
 def test_the_package_ships_weights_for_every_preset(name: str):
-    preset = TASKS["drop"].presets[name]
+    preset = TRAININGS[name]
     model = shipped_model(preset.purpose)
     assert model.network.kind == preset.network.kind

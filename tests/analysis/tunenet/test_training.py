@@ -7,22 +7,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.registry import TASKS
+from analysis.drop import film_presets
+from analysis.drop.presets import TRAININGS
 from analysis.tunenet.network import initial_weights
 from analysis.tunenet.pairs import mixed_pairs
 from analysis.tunenet.training import one_step_error, train
 from tunenet_logs.progress import Progress
 
 QUIET = Progress(quiet=True)
-PRESETS = TASKS["drop"].presets
 
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(one, marks=[pytest.mark.slow] * (one != "default")) for one in PRESETS],
+    [pytest.param(one, marks=[pytest.mark.slow] * (one != "default")) for one in TRAININGS],
 )
 def test_a_short_training_beats_no_training(name: str):
-    preset = PRESETS[name]
+    preset = TRAININGS[name]
     pairs = preset.make_pairs(100, 0, 1, QUIET)
     recipe = replace(preset.recipe, epochs=40)
     model = train(preset.network, pairs, recipe, 0, QUIET)
@@ -34,7 +34,7 @@ def test_a_short_training_beats_no_training(name: str):
 
 
 def test_a_short_training_on_films_beats_no_training():
-    preset = TASKS["drop-video"].presets["default"]
+    preset = film_presets.TRAININGS["default"]
     pairs = preset.make_pairs(24, 0, 1, QUIET)
     assert np.isfinite(pairs.observations[pairs.target]).any(axis=(1, 2)).all()
     assert set(pairs.proposed.tolist()).isdisjoint(pairs.target.tolist())
@@ -46,7 +46,7 @@ def test_a_short_training_on_films_beats_no_training():
 
 
 def test_the_papers_pairs_of_films_show_z_beside_the_pictures_y():
-    pairs = TASKS["drop-video"].presets["paper"].make_pairs(12, 0, 1, QUIET)
+    pairs = film_presets.TRAININGS["paper"].make_pairs(12, 0, 1, QUIET)
     simulated, filmed = pairs.observations[pairs.proposed], pairs.observations[pairs.target]
     assert simulated.shape == filmed.shape == (12, 400, 1)
     assert 0.78 < simulated[:, 0].min() <= simulated[:, 0].max() < 1.02
@@ -57,7 +57,7 @@ def test_the_papers_pairs_of_films_show_z_beside_the_pictures_y():
 
 
 def test_the_same_seed_gives_the_same_weights():
-    preset = PRESETS["default"]
+    preset = TRAININGS["default"]
     pairs = preset.make_pairs(100, 0, 1, QUIET)
     recipe = replace(preset.recipe, epochs=2)
     first, again = (train(preset.network, pairs, recipe, 5, QUIET) for _ in range(2))
@@ -68,7 +68,7 @@ def test_the_same_seed_gives_the_same_weights():
 
 
 def test_what_one_of_a_pair_lacks_is_not_learnt_from_the_other():
-    preset = PRESETS["paper-code"]
+    preset = TRAININGS["paper-code"]
     pairs = preset.make_pairs(50, 0, 1, QUIET)
     whole = pairs.observations
     recipe = replace(preset.recipe, epochs=1)
@@ -84,14 +84,14 @@ def test_what_one_of_a_pair_lacks_is_not_learnt_from_the_other():
 
 
 def test_pairs_do_not_depend_on_the_number_of_processes():
-    preset = PRESETS["paper-code"]
+    preset = TRAININGS["paper-code"]
     alone, together = (preset.make_pairs(20, 3, jobs, QUIET) for jobs in (1, 2))
     assert np.array_equal(alone.observations, together.observations)
     assert np.array_equal(alone.residuals, together.residuals)
 
 
 def test_the_papers_pairs_share_their_height_and_keep_its_range():
-    pairs = PRESETS["paper-code"].make_pairs(30, 0, 1, QUIET)
+    pairs = TRAININGS["paper-code"].make_pairs(30, 0, 1, QUIET)
     first = pairs.observations[:, 0, 0]
     assert np.array_equal(first[pairs.proposed], first[pairs.target])
     assert first.min() > 3.99

@@ -5,6 +5,7 @@ from __future__ import annotations
 _MOST_SHARE = 0.05
 """From which share of the rows on it is not the file that is damaged, but us who misread it."""
 
+# What to do about a cell or a row.
 NUMBER_REMEDY = "write numbers as 1050.25"
 TIME_REMEDY = "write times in seconds (0.008), or as 2026-11-21T10:00:00.008Z"
 CELLS_REMEDY = (
@@ -60,7 +61,7 @@ class Failures:
         count = self._counts[False]
         if count < 2 or count <= _MOST_SHARE * rows:
             return ""
-        return f"{count} of {rows} rows cannot be read; {self._told(is_damage=False)}"
+        return f"{count} of {rows} rows cannot be read; {self._first_failure(is_damage=False)}"
 
     def nothing(self, rows: int) -> str:
         """Why no row of a table was of use."""
@@ -68,8 +69,10 @@ class Failures:
             return f"it has no row; {DAMAGED_REMEDY}"
         if not self._first:
             return f"none of its {rows} rows holds a value; name the columns of those that do"
-        return f"none of its {rows} rows can be read; {self._told(False not in self._first)}"
+        return (
+            f"none of its {rows} rows can be read; {self._first_failure(False not in self._first)}"
+        )
 
-    def _told(self, is_damage: bool) -> str:
+    def _first_failure(self, is_damage: bool) -> str:
         line, error = self._first[is_damage]
         return f"the first is line {line}, {error}; {error.remedy}"

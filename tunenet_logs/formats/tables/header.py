@@ -9,7 +9,7 @@ from math import isfinite
 from pathlib import Path
 
 from tunenet_logs.errors import LogError
-from tunenet_logs.formats.tables.layout import MOST_COLUMNS, Layout, layout_of
+from tunenet_logs.formats.tables.layout import MOST_COLUMNS, TableLayout, table_layout_of
 from tunenet_logs.formats.tables.lines import MOST_LINE, SEPARATORS, cells_of, lines_of
 from tunenet_logs.formats.tables.numbers import Numbers
 from tunenet_logs.formats.tables.units import length_in, with_lengths, with_row
@@ -18,24 +18,25 @@ _MOST_BEFORE = 200
 """Lines of a preamble."""
 
 _EXAMPLE = "for example t,x,y,z or time_ms;height_mm or t,joint1_effort,joint1_position"
+"""Headers that are understood, for error messages."""
 
 Lines = Iterator[tuple[int, str | None]]
 """Lines with their numbers from 1; None for one that is too long."""
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class OpenTable:
     """A table that is open.
 
     Attributes:
         rows: the lines behind the header and its units.
     """
 
-    layout: Layout
+    layout: TableLayout
     rows: Lines
 
 
-def open_table(path: Path) -> Table:
+def open_table(path: Path) -> OpenTable:
     """A table, read up to its first row.
 
     Raises:
@@ -57,7 +58,7 @@ def open_table(path: Path) -> Table:
     layout = next(found, None)
     if layout is None:
         raise LogError(f"{path}: {before.refusal()}")
-    return _with_units(path, Table(layout, lines), before.length)
+    return _with_units(path, OpenTable(layout, lines), before.length)
 
 
 class _Before:
@@ -70,8 +71,8 @@ class _Before:
     """
 
     def __init__(self) -> None:
-        self.header: Layout | None = None
-        self.commented: Layout | None = None
+        self.header: TableLayout | None = None
+        self.commented: TableLayout | None = None
         self.length = ""
         self._is_text = False
         self._too_large = ""
@@ -114,11 +115,11 @@ class _Before:
         return f"has no line that names its columns; put one on top, {_EXAMPLE}"
 
 
-def _unusable(layout: Layout) -> str:
+def _unusable(layout: TableLayout) -> str:
     """Why there is nothing in a table's columns."""
     reasons = [f"{name[:60]!r}: {why}" for name, why in layout.unused.items()]
-    told = "; ".join(reasons[:4]) or "it has times alone"
-    return f"holds no track and no torques that can be used ({told})"
+    listed = "; ".join(reasons[:4]) or "it has times alone"
+    return f"holds no track and no torques that can be used ({listed})"
 
 
 def _size_of(line: str | None) -> str:
@@ -132,7 +133,7 @@ def _size_of(line: str | None) -> str:
     return f"a header of {columns} columns, over the limit of {MOST_COLUMNS}"
 
 
-def _with_units(path: Path, table: Table, length: str) -> Table:
+def _with_units(path: Path, table: OpenTable, length: str) -> OpenTable:
     """A table whose columns have the units of a row below the header, and of the preamble."""
     layout, rows = table.layout, table.rows
     for number, line in rows:
@@ -151,17 +152,17 @@ def _with_units(path: Path, table: Table, length: str) -> Table:
         layout = _again(layout, with_lengths(layout.header, length))
     if not layout.groups:
         raise LogError(f"{path}: {_unusable(layout)}")
-    return Table(layout, rows)
+    return OpenTable(layout, rows)
 
 
-def _named_by(layout: Layout, line: str) -> Layout | None:
+def _named_by(layout: TableLayout, line: str) -> TableLayout | None:
     """The layout with the units of a line; None where it is no row of units."""
     header = with_row(layout.header, cells_of(line, layout.separator))
     return _again(layout, header) if header else None
 
 
-def _again(layout: Layout, header: Sequence[str]) -> Layout:
-    return layout_of(header, layout.separator) or layout
+def _again(layout: TableLayout, header: Sequence[str]) -> TableLayout:
+    return table_layout_of(header, layout.separator) or layout
 
 
 def _readings(line: str) -> Iterator[tuple[str | None, list[str]]]:
@@ -172,12 +173,12 @@ def _readings(line: str) -> Iterator[tuple[str | None, list[str]]]:
             yield separator, [one.strip() for one in cells_of(line, separator)]
 
 
-def _layout(line: str) -> Layout | None:
+def _layout(line: str) -> TableLayout | None:
     """What a line says as a header, with the separator that makes most of it."""
     found = [
         layout
         for separator, cells in _readings(line)
-        if (layout := layout_of(cells, separator)) is not None
+        if (layout := table_layout_of(cells, separator)) is not None
     ]
     return next((one for one in found if one.groups), found[0] if found else None)
 

@@ -9,12 +9,19 @@ from pathlib import Path
 from tunenet_logs.errors import LogError
 
 SUFFIXES = (".csv", ".tsv", ".txt")
+"""Of files that may be tables."""
+
 SEPARATORS = ("\t", ";", ",", None)
 """In the order in which they are tried; None is white space."""
 
 MOST_LINE = 1024**2
+"""Characters; a row of 5000 columns of 20 digits is a tenth of that."""
+
 _MOST_BYTES = 1024**3
+"""Of a table: its cells are read one by one, in Python."""
+
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
+"""How UTF-16 begins; spreadsheets write it as "Unicode text"."""
 
 
 def is_table(path: Path) -> bool:

@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass
 
 Words = tuple[str, ...]
+"""The words of a column's name, as `words_of` takes it apart."""
 
 LENGTHS = {
     **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), 1.0),
@@ -23,7 +24,7 @@ POWERS = {
 
 
 @dataclass(frozen=True)
-class Time:
+class TimeColumn:
     """A time.
 
     Attributes:
@@ -40,8 +41,8 @@ class Time:
 
 
 @dataclass(frozen=True)
-class Place:
-    """The place of a thing along an axis (0 to 2), in units of `scale` m.
+class CoordinateColumn:
+    """The coordinate of a thing along an axis (0 to 2), in units of `scale` m.
 
     Attributes:
         is_height: whether it is called a height, not an axis.
@@ -54,7 +55,7 @@ class Place:
 
 
 @dataclass(frozen=True)
-class JointValue:
+class JointColumn:
     """One quantity of one joint, in units of `scale` rad, rad/s or N·m.
 
     Attributes:
@@ -74,20 +75,21 @@ class JointValue:
 
 
 @dataclass(frozen=True)
-class JointName:
+class JointNameColumn:
     """A column of texts: the name of the joint of that number."""
 
     number: str
 
 
 @dataclass(frozen=True)
-class Unused:
+class UnusedColumn:
     """A column that is not used, and why."""
 
     reason: str
 
 
-Meaning = Time | Place | JointValue | JointName | Unused
+Meaning = TimeColumn | CoordinateColumn | JointColumn | JointNameColumn | UnusedColumn
+"""What a column can mean."""
 
 
 def words_of(name: str, *, camel: bool) -> Words:

@@ -8,11 +8,17 @@ from dataclasses import dataclass
 from math import isfinite
 
 _NUMBERLESS = frozenset(("", "-", "--", "null", "none", "na", "n/a", "<na>", "#n/a"))
+"""What stands in a cell for no value, in small letters."""
+
 _NUMBER = re.compile(r"[+-]?[\d.,]+(?:e[+-]?\d+)?", re.ASCII | re.IGNORECASE)
+"""A number with whatever marks between its digits."""
+
 _IN_GROUPS = re.compile(
     r"[+-]?[1-9]\d{0,2}(?:(?:,\d{3})+\.\d*|(?:\.\d{3})+,\d*|(?:,\d{3}){2,}|(?:\.\d{3}){2,})",
     re.ASCII,
 )
+"""Thousands in groups, beyond doubt: with a mark of decimals as well, or two groups and more."""
+
 _ONE_GROUP = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}", re.ASCII)
 """What may be a thousand and more, or have three decimals."""
 

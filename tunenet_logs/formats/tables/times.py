@@ -12,13 +12,23 @@ from statistics import median
 from tunenet_logs.formats.tables.meaning import POWERS
 
 _WITH_UNIT = re.compile(rf"(\S+)\s+({'|'.join(POWERS)})", re.ASCII | re.IGNORECASE)
+"""A number and its unit: "0.008 sec"."""
+
 _DATE = re.compile(
     r"(\d{4}-\d\d-\d\d[T ]\d\d:\d\d(?::\d\d)?)(?:[.,](\d{1,9}))?\s?(Z|[+-]\d\d(?::?\d\d)?)?",
     re.ASCII,
 )
+"""ISO 8601 to the nanosecond, with or without a zone."""
+
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+"""What stamps count from."""
+
 _MOST_DIGITS = 60
+"""Of a time's text: a number that costs more to read is no time."""
+
 _MOST_NS = 2**62
+"""Half of what int64 holds, so that differences fit as well: to the year 2116."""
+
 _MAGNITUDES = ((1e17, -9), (1e14, -6), (1e11, -3))
 """From which size on a time since 1970 must be in ns, us, ms: all other units would be far off."""
 
@@ -29,13 +39,13 @@ class Clock:
 
     Attributes:
         name: of its column, or of the first of two.
-        places: of the columns: one, or one of seconds and one of nanoseconds.
+        indices: of the columns: one, or one of seconds and one of nanoseconds.
         power: the unit as a power of ten of a second; None to go by magnitude.
         scope: the words before it in its name: what it is the time of.
     """
 
     name: str
-    places: tuple[int, ...]
+    indices: tuple[int, ...]
     power: int | None
     scope: tuple[str, ...] = ()
 

@@ -5,17 +5,17 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
+from tunenet_logs.formats.tables.column_names import UNKNOWN, meaning_of
 from tunenet_logs.formats.tables.meaning import (
     LENGTHS,
     POWERS,
-    JointValue,
+    CoordinateColumn,
+    JointColumn,
     Meaning,
-    Place,
-    Time,
+    TimeColumn,
     lowered,
     words_of,
 )
-from tunenet_logs.formats.tables.names import UNKNOWN, meaning_of
 
 _WORDS = frozenset(
     (
@@ -29,8 +29,13 @@ _WORDS = frozenset(
 )
 """Words of units, those that are not read too: a row of them is no row of numbers."""
 _NONE = frozenset(("", "-", "1"))
+"""Cells of a row of units that say none."""
+
 _SAID = re.compile(r"\b(length[ _])?units?\b\W{1,5}(\w+)", re.IGNORECASE)
+"""A preamble's "Length Units,Millimeters" or "units: mm"."""
+
 _REMEDY = "convert it to m, cm or mm (times: s, ms, us or ns)"
+"""What to do about a unit that is not read."""
 
 
 def with_row(header: Sequence[str], cells: Sequence[str]) -> list[str] | None:
@@ -70,7 +75,7 @@ def with_lengths(header: Sequence[str], unit: str) -> list[str]:
     """The names of a header, with a unit where they are places and say none."""
     return [
         f"{name} ({unit})"
-        if isinstance(meaning_of(name), Place) and _without_unit(name) is None
+        if isinstance(meaning_of(name), CoordinateColumn) and _without_unit(name) is None
         else name
         for name in header
     ]
@@ -105,6 +110,6 @@ def _named(name: str, unit: str) -> str:
 
 def _size(meaning: Meaning) -> float | None:
     """The size of a meaning's unit; None where it has no values."""
-    if isinstance(meaning, Time):
+    if isinstance(meaning, TimeColumn):
         return meaning.power or 0
-    return meaning.scale if isinstance(meaning, Place | JointValue) else None
+    return meaning.scale if isinstance(meaning, CoordinateColumn | JointColumn) else None

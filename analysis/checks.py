@@ -1,0 +1,92 @@
+"""Checks of a tuning, and the verdict that follows from them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from tunenet_logs.episode import Episode
+
+Verdict = Literal["ok", "suspect", "rejected"]
+
+_MORE_DIGITS = 3
+"""At most this many digits are added so that a figure and its limit differ in print."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """One comparison with a limit.
+
+    Attributes:
+        detail: the figure that was seen, and its limit.
+        fatal: a failure means that no value can be reported at all.
+        advice: what to do at the next recording so that it passes, as one short sentence.
+        doubts_model: whether a failure puts the model behind the interval in doubt; not so for a
+            check of the interval's own width.
+    """
+
+    name: str
+    passed: bool
+    detail: str
+    fatal: bool = False
+    advice: str = ""
+    doubts_model: bool = True
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "passed", bool(self.passed))  # NumPy's bool is no JSON
+
+
+@dataclass(frozen=True)
+class CrossCheck:
+    """A second estimate that shares nothing with the first but the log.
+
+    Attributes:
+        advice: what to do where the two disagree, as one short sentence.
+    """
+
+    method: str
+    value: float
+    agrees: bool
+    advice: str = ""
+
+
+def log_checks(episode: Episode) -> tuple[Check, ...]:
+    """What the file itself shows: samples that may have been changed cannot be trusted."""
+    detail = episode.tainted or "no sample that was read is known to be damaged"
+    advice = "tune the log as it was before it was damaged"
+    return (Check("samples as they were recorded", not episode.tainted, detail, advice=advice),)
+
+
+def judge(
+    checks: Sequence[Check], cross_check: CrossCheck | None, occasion: str
+) -> tuple[Verdict, str | None]:
+    """The verdict, and its reason in one line, with the remedy of what is named first.
+
+    Args:
+        checks: all of them.
+        cross_check: None where the log allows none.
+        occasion: what a user would do again, e.g. "drop".
+    """
+    failed = [check for check in checks if not check.passed]
+    fatal = [check for check in failed if check.fatal]
+    reasons = [f"{check.name}: {check.detail}" for check in fatal or failed]
+    remedies = [check.advice for check in fatal or failed]
+    if cross_check is not None and not cross_check.agrees:
+        reasons.append(f"cross-check: {cross_check.value:.3f} by {cross_check.method}")
+        remedies.append(cross_check.advice)
+    if not reasons:
+        return "ok", None
+    advice = f"; at the next {occasion}: {remedies[0]}" if remedies[0] else ""
+    if fatal:
+        return "rejected", reasons[0] + advice
+    return "suspect", "; ".join(reasons) + advice
+
+
+def figures(seen: float, limit: float, digits: int, kind: str = "f") -> tuple[str, str]:
+    """Two numbers with `digits` digits, or more where they would print alike."""
+    for more in range(digits, digits + _MORE_DIGITS + 1):
+        pair = f"{seen:.{more}{kind}}", f"{limit:.{more}{kind}}"
+        if pair[0] != pair[1]:
+            return pair
+    return f"{seen:.{digits}{kind}}", f"{limit:.{digits}{kind}}"

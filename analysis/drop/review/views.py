@@ -1,0 +1,230 @@
+"""The review of a drop: heights and residuals, the ball in 3D, the iterations, and their layout.
+
+The video and the bounces, which not every tuning has, are in `film` and `bounces`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from analysis.drop.review.bounces import bounce_view, log_bounces
+from analysis.drop.review.film import log_film
+from analysis.drop.review.review_data import ReviewData, review_data
+from analysis.review.charts import (
+    Iterates,
+    chart_view,
+    iterates_view,
+    log_grid,
+    log_iterates,
+    ticks,
+)
+from analysis.review.drawing import (
+    GROUND,
+    ITERATION,
+    LOG_TIME,
+    OBSERVED,
+    Color,
+    at_seconds,
+    by_iteration,
+    screen_radius,
+    send_scalars,
+)
+from analysis.tuning_result import Tuning
+
+_MANY = 400
+"""Samples above which dots would hide the lines."""
+
+_MM = 1000.0
+"""Millimetres in a metre: an axis does not show numbers as small as residuals in m."""
+
+_USUAL, _HEADROOM = 0.98, 1.8
+"""Quantile of the result's residuals that their axis must show, and room around it, as a factor."""
+
+_LEAST_REACH = 0.002
+"""Drop heights that the axis of residuals shows at least: less would magnify mere noise."""
+
+_IMPACT: Color = (255, 90, 90)
+_TABLE: Color = (70, 70, 78)
+
+_BALL = 0.045
+"""A drawn ball's radius in drop heights: larger than life, to be seen."""
+
+_PITCH = 4.5
+"""From ball to ball, in radii: room for their labels."""
+
+_HEIGHTS_WIDTH = 1.7
+"""Of the chart of heights, in its heights: it fills a larger and squarer view than others."""
+
+
+def log_drop(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
+    """Send all that is drawn of a drop; the layout that shows it.
+
+    Two tabs, to play and to scrub; with the video first where there is one.
+    """
+    data = review_data(tuning)
+    iterates = Iterates(
+        parameter="restitution",
+        unit="1",
+        names=tuple(curve.name for curve in data.simulated),
+        values=tuple(curve.value for curve in data.simulated),
+        colors=tuple(curve.color for curve in data.simulated),
+        span=(0.0, 1.0),
+        interval95=data.interval95,
+    )
+    height_view, residual_view = _log_plots(stream, data)
+    curves = rrb.Vertical(
+        _log_scene(stream, data), height_view, residual_view, row_shares=[4, 4, 3]
+    )
+    height_chart = _log_height_chart(stream, data)
+    log_iterates(stream, iterates, float(data.observed.seconds[0]))
+    if data.bounces:
+        log_bounces(stream, data)
+    # A view is shown in one place only, so each tab has its own of the charts that both show.
+    played, scrubbed = (
+        [iterates_view(iterates), *([bounce_view(data)] if data.bounces else [])] for _ in range(2)
+    )
+    result = rrb.TextDocumentView(origin="/result", name="result")
+    words = rrb.Vertical(result, *played, row_shares=[5, *[2.6] * len(played)])
+    name = f"overlay (timeline {LOG_TIME})"
+    if tuning.detection.film is None:
+        overlay = rrb.Horizontal(curves, words, column_shares=[3, 2], name=name)
+    else:
+        video, aspect = log_film(stream, tuning, data)
+        share = min(max(3 * aspect, 1.2), 3.5)
+        overlay = rrb.Horizontal(video, curves, words, column_shares=[share, 3, 3], name=name)
+    step = rrb.TextDocumentView(origin="/step", name="iteration")
+    scrub = rrb.Horizontal(
+        height_chart,
+        rrb.Vertical(step, *scrubbed),
+        column_shares=[5, 3],
+        name=f"scrub (timeline {ITERATION})",
+    )
+    return rrb.Tabs(overlay, scrub, active_tab=0)
+
+
+def _log_plots(stream: rr.RecordingStream, data: ReviewData) -> tuple[rrb.View, rrb.View]:
+    """Observed dots under the lines of all iterations, and the residuals, over the log's time."""
+    for k, (curve, residual) in enumerate(zip(data.simulated, data.residuals, strict=True)):
+        style = rr.SeriesLines(
+            colors=[curve.color],
+            names=[curve.label],
+            widths=[curve.width],
+            aggregation_policy="Off",
+        )
+        stream.log(f"height/k{k}", style, static=True)
+        send_scalars(stream, f"height/k{k}", curve.seconds, curve.heights_m)
+        stream.log(f"residual/k{k}", style, static=True)
+        send_scalars(stream, f"residual/k{k}", residual.seconds, _MM * residual.heights_m)
+    size = 1.0 if len(data.observed.seconds) > _MANY else 2.0
+    points = rr.SeriesPoints(colors=[OBSERVED], names=["observed"], marker_sizes=[size])
+    stream.log("height/observed", points, static=True)
+    send_scalars(stream, "height/observed", data.observed.seconds, data.observed.heights_m)
+    mark = rr.SeriesPoints(
+        colors=[_IMPACT], names=["impacts"], markers=["diamond"], marker_sizes=[6.0]
+    )
+    stream.log("height/impact", mark, static=True)
+    send_scalars(stream, "height/impact", data.impacts_s, np.zeros(len(data.impacts_s)))
+    height_m = data.drop_height_m
+    height_view = rrb.TimeSeriesView(
+        origin="/height",
+        name="height above the table [m]",
+        axis_y=rrb.ScalarAxis(range=(-0.05 * height_m, 1.1 * height_m)),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
+    )
+    # Scaled to the result's residuals: those of the guesses before it run off the chart.
+    off = np.abs(data.residuals[-1].heights_m)
+    usual = float(np.quantile(off, _USUAL)) if len(off) else 0.0
+    reach_mm = _MM * max(_HEADROOM * usual, _LEAST_REACH * height_m)
+    residual_view = rrb.TimeSeriesView(
+        origin="/residual",
+        name=f"residual: simulated - observed [mm], axis to ±{reach_mm:.2g}",
+        axis_y=rrb.ScalarAxis(range=(-reach_mm, reach_mm)),
+        plot_legend=rrb.PlotLegend(visible=False),
+    )
+    return height_view, residual_view
+
+
+def _log_scene(stream: rr.RecordingStream, data: ReviewData) -> rrb.View:
+    """The observed ball and those of all iterations, falling side by side in 3D."""
+    curves = [data.observed, *data.simulated]
+    height_m, radius = data.drop_height_m, _BALL * data.drop_height_m
+    across = (np.arange(len(curves)) - (len(curves) - 1) / 2) * _PITCH * radius
+    across[0] -= _PITCH / 3 * radius  # the observed ball stands apart
+    half, thick = 2.5 * radius - across[0], 0.2 * radius
+    stream.log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    table = rr.Boxes3D(
+        centers=[[0, 0, -thick]],
+        half_sizes=[[half, 3 * radius, thick]],
+        colors=[_TABLE],
+        fill_mode="solid",
+    )
+    stream.log("scene/table", table, static=True)
+    labels = rr.Points3D(
+        [[x, -3.2 * radius, -1.2 * radius] for x in across],
+        labels=[curve.name for curve in curves],
+        colors=[curve.color for curve in curves],
+        radii=screen_radius(0.1),
+        show_labels=True,
+    )
+    stream.log("scene/labels", labels, static=True)
+    for x, curve in zip(across, curves, strict=True):
+        entity = f"scene/{curve.name.replace('=', '')}"
+        ball = rr.Ellipsoids3D.from_fields(
+            half_sizes=[[radius] * 3], colors=[curve.color], fill_mode="solid"
+        )
+        stream.log(entity, ball, static=True)
+        # All at the observed times, or the balls would take their steps one after the other.
+        heights = np.interp(data.observed.seconds, curve.seconds, curve.heights_m)
+        centers = np.column_stack([np.full_like(heights, x), 0 * heights, heights + radius])
+        columns = rr.Ellipsoids3D.columns(centers=centers)
+        stream.send_columns(entity, indexes=[at_seconds(data.observed.seconds)], columns=columns)
+    return rrb.Spatial3DView(
+        origin="/scene",
+        name="observed ball beside each iteration's",
+        background=GROUND,
+        line_grid=False,
+        eye_controls=rrb.EyeControls3D(  # from where the whole drop fills the view
+            position=(0.0, -1.42 * height_m, 0.62 * height_m),
+            look_target=(0.0, 0.0, 0.48 * height_m),
+            eye_up=(0.0, 0.0, 1.0),
+        ),
+    )
+
+
+def _log_height_chart(stream: rr.RecordingStream, data: ReviewData) -> rrb.View:
+    """The observed curve fixed, that of the iteration over it; the iteration in words at `step`."""
+    start_s = data.release_s - 0.05 * (data.end_s - data.release_s)
+    width_s, height_m = data.end_s - start_s, data.drop_height_m
+    rows = [(-height / height_m, f"{height:g} m") for height in ticks(0.0, height_m)]
+    marks = [
+        ((second - start_s) / width_s * _HEIGHTS_WIDTH, f"{second:g} s")
+        for second in ticks(start_s, data.end_s)
+    ]
+    log_grid(stream, "sheets/heights", _HEIGHTS_WIDTH, rows, marks, hang=0.035)
+    drawn = []
+    for curve in (data.observed, *data.simulated):
+        inside = (curve.seconds >= start_s) & (curve.seconds <= data.end_s)
+        x = (curve.seconds[inside] - start_s) / width_s * _HEIGHTS_WIDTH
+        drawn.append(np.column_stack([x, -curve.heights_m[inside] / height_m]))
+    observed, *simulated = drawn
+    dots = rr.Points2D(observed, colors=[OBSERVED], radii=screen_radius(1.8))
+    stream.log("sheets/heights/observed", dots, static=True)
+    style = rr.LineStrips2D.from_fields(radii=screen_radius(1.2))
+    stream.log("sheets/heights/simulated", style, static=True)
+    stream.log("step", rr.TextDocument.from_fields(media_type="text/markdown"), static=True)
+    words = [
+        f"# k = {k}\n\nrestitution **{curve.value:.4f}**\n\n"
+        f"{1000 * float(np.sqrt(np.mean(curve.heights_m**2))):.2f} mm rms from the observed curve"
+        for k, curve in enumerate(data.residuals)
+    ]
+    for index, shown in by_iteration(len(simulated), float(data.observed.seconds[0])):
+        strips = rr.LineStrips2D.columns(
+            strips=[simulated[k] for k in shown], colors=[data.simulated[k].color for k in shown]
+        )
+        stream.send_columns("sheets/heights/simulated", indexes=[index], columns=strips)
+        columns = rr.TextDocument.columns(text=[words[k] for k in shown])
+        stream.send_columns("step", indexes=[index], columns=columns)
+    title = "height above the table: observed (dots), simulated (line)"
+    return chart_view("heights", title, _HEIGHTS_WIDTH)

@@ -1,0 +1,1 @@
+"""The second experiment: the restitution of a bouncing ball, every method, rollout by rollout."""

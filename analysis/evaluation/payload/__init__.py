@@ -1,0 +1,1 @@
+"""The first experiment: the mass in an arm's gripper, from its torques."""

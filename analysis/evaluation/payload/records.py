@@ -1,0 +1,68 @@
+"""The payload's figures for other programs: JSON and CSV."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from analysis.evaluation.export import csv_text, json_text
+from analysis.evaluation.payload.logs import LogRow
+from analysis.evaluation.payload.masses import SETS, MassOrder, MassRow
+
+
+def mass_records(rows: Sequence[MassRow], order: MassOrder) -> list[dict[str, Any]]:
+    """One record for each method, set and seed."""
+    sets = list(SETS)
+    return [
+        {
+            "method": row.method.name,
+            "iterations": row.method.iterations,
+            "set": row.which,
+            "seed": seed,
+            "mae_kg": float(errors.mean()),
+            "percent": float(percents.mean()),
+            "paper_mae_kg": row.method.paper[sets.index(row.which)],
+        }
+        for row in rows
+        for seed, errors, percents in zip(order.seeds, row.errors, row.percents, strict=True)
+    ]
+
+
+def log_records(rows: Sequence[LogRow]) -> list[dict[str, Any]]:
+    """One record for each case."""
+    records = []
+    for row in rows:
+        record = asdict(row)
+        record["case"] = row.case.label
+        records.append(record)
+    return records
+
+
+def payload_json(masses: Sequence[MassRow], logs: Sequence[LogRow], order: MassOrder) -> str:
+    """Everything: `masses` for each seed, with the mean over all, and `logs`."""
+    summary = [
+        {
+            "method": row.method.name,
+            "set": row.which,
+            "mae_kg": float(np.mean(row.errors)),
+            "percent": float(np.mean(row.percents)),
+        }
+        for row in masses
+    ]
+    content = {
+        "seeds": list(order.seeds),
+        "targets": order.targets,
+        "summary": summary,
+        "masses": mass_records(masses, order),
+        "logs": log_records(logs),
+    }
+    return json_text(content)
+
+
+def payload_csv(masses: Sequence[MassRow], order: MassOrder) -> str:
+    """Table 1 in long form."""
+    records = mass_records(masses, order)
+    return csv_text(list(records[0]) if records else ["method"], records)

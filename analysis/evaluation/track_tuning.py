@@ -1,0 +1,25 @@
+"""Tuning from a track that was made, not found in pictures."""
+
+from __future__ import annotations
+
+from analysis.drop.detection import FilmDetection
+from analysis.drop.from_film import DropFromFilm
+from analysis.selection import Options
+from analysis.tracking.track import Track
+from analysis.tuning import Stopwatch, tune_detected
+from analysis.tuning_result import Tuning
+
+
+def tune_track(track: Track, options: Options) -> Tuning:
+    """Tune from the track of a filmed ball, as `tune_log` does once it has found one."""
+    experiment = DropFromFilm()
+    selection = options.selection
+    detection = FilmDetection(
+        physical=experiment.presets[options.preset].physical,
+        topic="",
+        start_ns=int(track.stamps_ns[0]),
+        track=track,
+        ball=selection.ball,
+        fit_drag=selection.fit_drag,
+    )
+    return tune_detected(experiment, lambda: detection, options, Stopwatch())

@@ -1,0 +1,186 @@
+"""What drivers do to joint data, undone: names, degrees, angles cut to a turn, repeated samples."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from operator import eq
+
+import numpy as np
+
+from recorders.simulators.arm.description import Arm
+from tunenet_logs.arrays import Array
+from tunenet_logs.errors import NotFoundError
+from tunenet_logs.text import listed, short_name
+
+_NOT_OF_THE_ARM = re.compile(r"finger|gripper|knuckle|thumb|wheel", re.I)
+"""Names that end in a number too, but not in that of a joint of the arm."""
+
+_TURN_RAD = 2 * np.pi
+
+_SLACK_RAD = 0.3
+_MOST_TURNS = 2.1
+"""An angle further beyond its joint's limits, or of more turns, is odd: calibration explains less,
+and few joints turn more than twice."""
+
+_LIMIT_FACTOR, _FASTEST_RAD_S = 3.0, 15.0
+"""A speed over this multiple of its joint's limit, or over this one, is odd: no arm reaches it."""
+
+_FAST_QUANTILE, _BEYOND_FRACTION = 0.9, 0.1
+"""A tenth of the samples must be odd: fewer are glitches."""
+
+_CLOCK_ITERATIONS = 5
+"""Ticks and clock in turn; the ticks of a regular driver stay the same after two or three."""
+
+_MOST_OUTSIDE = 0.05
+_CLOCK_SLACK = 0.15
+"""Fraction of the samples that may lie outside of their messages, beyond this fraction of the time
+between two messages: some messages are late."""
+
+_FEWEST_TICKS = 20
+"""Fewer samples fit an even clock by chance."""
+
+
+def match_joints(joints: Sequence[str], columns: Sequence[str]) -> tuple[int, ...]:
+    """The index of each joint's column.
+
+    Drivers give a joint several names: `j2s7s300_joint_3`, `left_joint_3`, `joint3`. So names are
+    compared whole first, then by their ending, then by the number that they end in.
+
+    Args:
+        joints: the arm's, base to tool.
+        columns: of a signal; more than the arm's, and in any order.
+
+    Returns:
+        An index into `columns` for each joint.
+
+    Raises:
+        NotFoundError: a joint has no column, or several; the message lists what is there.
+    """
+    for rule in (eq, _is_ending, _is_joint_number, _is_number):
+        matches = [[k for k, name in enumerate(columns) if rule(joint, name)] for joint in joints]
+        if all(len(indices) == 1 for indices in matches):
+            chosen = tuple(indices[0] for indices in matches)
+            if len(set(chosen)) == len(chosen):
+                return chosen
+        if ambiguous := [k for k, indices in enumerate(matches) if len(indices) > 1]:
+            first = ambiguous[0]
+            names = " and ".join(short_name(columns[index]) for index in matches[first][:2])
+            raise NotFoundError(
+                f"joint {joints[first]} could be {names}: name an arm whose joints are called "
+                "as one of them (--urdf FILE --tool-link LINK)"
+            )
+    missing = [
+        joint for joint in joints if not any(_is_joint_number(joint, name) for name in columns)
+    ]
+    there = listed(map(short_name, columns))
+    raise NotFoundError(
+        f"no joint of the log is {', '.join(missing or joints)} (there: {there}): record all "
+        "joints of the arm, or name the arm with --urdf FILE --tool-link LINK"
+    )
+
+
+def _is_ending(joint: str, name: str) -> bool:
+    """One name is the other's ending, after a separator: `left/joint_3`, `joint_3`."""
+    longer, shorter = sorted((name.lower(), joint.lower()), key=len, reverse=True)
+    return bool(shorter) and bool(re.search(rf"(^|[^a-z0-9]){re.escape(shorter)}$", longer))
+
+
+def _is_joint_number(joint: str, name: str) -> bool:
+    """`joint_3`, `joint3` or `j3` at the end."""
+    return _is_numbered(joint, name, r"j(oint)?[ _\-.]*")
+
+
+def _is_number(joint: str, name: str) -> bool:
+    """Any name that ends in the number."""
+    return _is_numbered(joint, name, r"(^|[^0-9])")
+
+
+def _is_numbered(joint: str, name: str, before: str) -> bool:
+    """Both names end in the same number, the column's with `before` (an expression) before it."""
+    number = re.search(r"\d+$", joint)
+    if number is None or _NOT_OF_THE_ARM.search(name):
+        return False
+    return bool(re.search(rf"{before}0*{int(number[0])}$", name, re.I))
+
+
+def in_radians(seconds: Array, values: Array, arm: Arm) -> tuple[Array, list[str]]:
+    """Angles as the arm can have had them, and what was done to them in words.
+
+    Degrees give themselves away: as radians they are outside of the joints' limits, turn many
+    times, or faster than any arm does.
+
+    Args:
+        seconds: times [s], shape (T,).
+        values: as the driver gives them, shape (T, J); of a joint that slides in m.
+        arm: whose they are.
+
+    Returns:
+        Angles [rad] (or [m]) without jumps of whole turns, shape (T, J), and remarks.
+    """
+    turns = np.array([not joint.is_prismatic for joint in arm.joints])
+    remarks: list[str] = []
+    as_degrees = np.where(turns, np.radians(values), values)
+    if turns.any() and _oddities(seconds, as_degrees, arm) < _oddities(seconds, values, arm):
+        values = as_degrees
+        remarks.append("the joints' positions are in degrees: converted")
+    whole = np.where(turns, np.unwrap(values, period=_TURN_RAD, axis=0), values)
+    if not np.allclose(whole, values):
+        remarks.append("the joints' positions are cut to one turn: joined")
+    for column, joint in enumerate(arm.joints):
+        middle = sum(joint.limits_rad) / 2
+        if turns[column] and np.isfinite(middle):
+            off = float(np.mean(whole[:, column])) - middle
+            whole[:, column] -= _TURN_RAD * np.round(off / _TURN_RAD)
+    return whole, remarks
+
+
+def _oddities(seconds: Array, values: Array, arm: Arm) -> int:
+    """In how many ways joints are where, or as fast as, none can be."""
+    steps = np.diff(values, axis=0)
+    steps -= _TURN_RAD * np.round(steps / _TURN_RAD)
+    speeds = np.quantile(np.abs(steps) / np.diff(seconds)[:, None], _FAST_QUANTILE, axis=0)
+    count = 0
+    for joint, speed, column in zip(arm.joints, speeds, values.T, strict=True):
+        if joint.is_prismatic:
+            continue
+        low, high = joint.limits_rad
+        if np.isfinite(high - low) and high - low < _TURN_RAD:
+            beyond = np.mod(column - low + _SLACK_RAD, _TURN_RAD) > high - low + 2 * _SLACK_RAD
+            count += int(np.mean(beyond) > _BEYOND_FRACTION)
+        fastest = min(_LIMIT_FACTOR * joint.max_velocity_rad_s, _FASTEST_RAD_S)
+        count += int(speed > fastest)
+        count += int(np.abs(column).max() > _MOST_TURNS * _TURN_RAD)
+    return count
+
+
+def even_clock(before: Array, seconds: Array) -> Array | None:
+    """Times of an even clock at which samples were measured; None where none fits.
+
+    A driver that publishes faster than it measures repeats samples. One that is new in a message
+    was measured some time since the message before. Where all that fits one even clock (fitted by
+    alternating least squares: the nearest tick of each sample, then a line through the ticks), it
+    tells the times far better than the messages do: their beat with it would look like a tremor.
+
+    Args:
+        before: time of the message before each new sample's [s], shape (T,); the first has none.
+        seconds: time of the message that shows it first [s], shape (T,).
+
+    Returns:
+        Times [s], shape (T,).
+    """
+    if len(seconds) < _FEWEST_TICKS:
+        return None
+    begins, ends = before[1:], seconds[1:]
+    middles = (begins + ends) / 2
+    ticks = np.arange(1.0, len(seconds))
+    period = start = 0.0
+    for _ in range(_CLOCK_ITERATIONS):
+        period, start = np.polyfit(ticks, middles, 1)
+        ticks = np.round((middles - start) / period)
+    times = start + period * ticks
+    slack = _CLOCK_SLACK * float(np.median(ends - begins))
+    outside = (times < begins - slack) | (times > ends + slack)
+    if np.any(np.diff(ticks) < 1) or float(np.mean(outside)) > _MOST_OUTSIDE:
+        return None
+    return np.concatenate([times[:1] - period, times])

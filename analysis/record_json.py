@@ -1,0 +1,228 @@
+"""A record as JSON, written and read. Its keys are a contract; new ones may be added."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, TypeVar, get_args
+
+import numpy as np
+
+from analysis.checks import Check, CrossCheck, Verdict
+from analysis.record import MOST_SAMPLES, Curves, Estimate, Interval, Provenance, Rebound, Record
+from tunenet_logs.errors import LogError
+from tunenet_logs.text import one_line
+
+Value = TypeVar("Value")
+
+_TIME_DECIMALS, _HEIGHT_DECIMALS = 5, 4
+"""Of a time [s] and a height [m]: a tenth of a millimetre, and the time it takes to fall so far."""
+
+_MOST_BYTES = 20_000_000
+"""Of a file that may be a record: a thousand times what one takes."""
+
+_FARTHEST = 1e6
+"""[m] and [s] from zero: no curve of an experiment goes farther."""
+
+
+def to_json(record: Record) -> str:
+    """The record as one JSON object."""
+    last = len(record.iterations) - 1
+    cross = record.cross_check
+    fields: dict[str, Any] = {
+        "log": record.log,
+        "task": record.task,
+        "verdict": record.verdict,
+        "reason": record.reason,
+        "parameters": {
+            known.name: {"value": known.value, "interval95": known.interval95, "unit": known.unit}
+            for known in record.estimates
+        }
+        or None,
+        "physical": record.physical,
+        "method": record.method,
+        "rollouts": record.rollouts,
+        "iterations": [
+            {"k": k, **values, **({"refined": True} if record.is_fitted and k == last else {})}
+            for k, values in enumerate(record.iterations)
+        ],
+        "bounces": [
+            {
+                "restitution": bounce.restitution,
+                "interval95": bounce.interval95,
+                "impact_speed": bounce.impact_speed_m_s,
+                "unit": "m/s",
+                "time_s": bounce.impact_s,
+            }
+            for bounce in record.rebounds
+        ],
+        "cross_check": cross
+        and {"method": cross.method, "value": cross.value, "agrees": cross.agrees},
+        "checks": [
+            {
+                "name": check.name,
+                "passed": check.passed,
+                "detail": check.detail,
+                **({"advice": check.advice} if check.advice and not check.passed else {}),
+            }
+            for check in record.checks
+        ],
+        "warnings": record.warnings,
+        "simulator": record.simulator,
+        "weights": record.weights,
+        "ball": record.ball,
+        "topic": record.topic,
+        "window": record.window,
+        "seconds": {name: round(value, 4) for name, value in record.seconds.items()},
+        "provenance": record.provenance and asdict(record.provenance),
+    }
+    text = json.dumps(fields, indent=1, ensure_ascii=False, allow_nan=False)
+    if record.curves is not None:  # on one line: it is for programs
+        curves = {
+            "start_ns": record.curves.start_ns,
+            "seconds": np.round(record.curves.seconds, _TIME_DECIMALS).tolist(),
+            "observed_m": np.round(record.curves.observed_m, _HEIGHT_DECIMALS).tolist(),
+            "simulated_m": np.round(record.curves.simulated_m, _HEIGHT_DECIMALS).tolist(),
+        }
+        line = json.dumps(curves, allow_nan=False)
+        text = f'{text.removesuffix("}").rstrip()},\n "curves": {line}\n}}'
+    return text + "\n"
+
+
+def read_record(path: Path) -> Record:
+    """The record in a JSON that `to_json` wrote.
+
+    Raises:
+        LogError: it cannot be read, is something else, or has a value that no tuning has.
+    """
+    try:
+        with path.open("rb") as file:
+            data = file.read(_MOST_BYTES + 1)
+        fields = json.loads(data) if len(data) <= _MOST_BYTES else None
+    except OSError as error:
+        raise LogError(
+            f"{path}: cannot be read ({error.strerror}); give a tuning's .json"
+        ) from error
+    except (ValueError, RecursionError) as error:
+        why = one_line(error)
+        message = f"{path}: is no JSON ({why}); give the .json that tunenet-tune wrote"
+        raise LogError(message) from error
+    if not isinstance(fields, dict) or not {"verdict", "parameters"} <= fields.keys():
+        raise LogError(f"{path}: is no tuning; give the .json that tunenet-tune wrote")
+    try:
+        return record_from(fields)
+    except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
+        raise LogError(f"{path}: {one_line(error)}; tune the log again") from error
+
+
+def record_from(fields: Mapping[str, Any]) -> Record:
+    """The record of a JSON's object; keys that are missing have their defaults.
+
+    Raises:
+        ValueError, TypeError, LookupError, AttributeError: a value that no tuning has.
+    """
+    if fields["verdict"] not in get_args(Verdict):
+        raise ValueError(f"verdict {one_line(fields['verdict'])} is none")
+    cross, provenance = fields.get("cross_check"), fields.get("provenance")
+    iterations = [dict(step) for step in fields.get("iterations") or ()]
+    return Record(
+        log=str(fields.get("log", "")),
+        task=_optional(str, fields.get("task")),
+        verdict=fields["verdict"],
+        reason=_optional(str, fields.get("reason")),
+        estimates=tuple(
+            _estimate(str(name), known) for name, known in (fields["parameters"] or {}).items()
+        ),
+        physical=bool(fields.get("physical", True)),
+        method=_optional(str, fields.get("method")),
+        rollouts=int(fields.get("rollouts", 0)),
+        iterations=tuple(
+            {name: _number(name, value) for name, value in step.items() if name not in _OF_STEPS}
+            for step in iterations
+        ),
+        is_fitted=bool(iterations and iterations[-1].get("refined")),
+        rebounds=tuple(_rebound(bounce) for bounce in fields.get("bounces") or ()),
+        cross_check=cross
+        and CrossCheck(str(cross["method"]), _number("value", cross["value"]), cross["agrees"]),
+        checks=tuple(
+            Check(
+                str(check["name"]),
+                check["passed"],
+                str(check["detail"]),
+                advice=str(check.get("advice", "")),
+            )
+            for check in fields.get("checks") or ()
+        ),
+        warnings=tuple(map(str, fields.get("warnings") or ())),
+        simulator=_optional(dict, fields.get("simulator")),
+        weights=_optional(dict, fields.get("weights")),
+        ball=_optional(str, fields.get("ball")),
+        topic=_optional(str, fields.get("topic")),
+        window=_numbers(fields.get("window")) or None,
+        seconds=_numbers(fields.get("seconds")),
+        provenance=provenance and Provenance(**provenance),
+        curves=_optional(_curves, fields.get("curves")),
+    )
+
+
+_OF_STEPS = ("k", "refined")
+"""What an iteration has beside its parameters."""
+
+
+def _interval(ends: Any) -> Interval:
+    low, high = ends
+    return _number("interval95", low), _number("interval95", high)
+
+
+def _optional(make: Callable[[Any], Value], given: Any) -> Value | None:
+    return None if given is None else make(given)
+
+
+def _number(name: str, value: Any) -> float:
+    """A finite number.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ValueError(f"{name} {one_line(value)} is no finite number")
+    return float(value)
+
+
+def _numbers(given: Mapping[str, Any] | None) -> dict[str, float]:
+    return {str(name): _number(str(name), value) for name, value in (given or {}).items()}
+
+
+def _estimate(name: str, fields: Mapping[str, Any]) -> Estimate:
+    value, ends = fields["value"], fields["interval95"]
+    if isinstance(value, list):
+        values = tuple(_number(name, part) for part in value)
+        return Estimate(name, str(fields["unit"]), values, ends and tuple(map(_interval, ends)))
+    unit = str(fields.get("unit", "1"))
+    return Estimate(name, unit, _number(name, value), _optional(_interval, ends))
+
+
+def _rebound(fields: Mapping[str, Any]) -> Rebound:
+    speed_m_s = fields["impact_speed"]
+    return Rebound(
+        _number("time_s", fields.get("time_s", 0.0)),
+        _number("restitution", fields["restitution"]),
+        _optional(_interval, fields["interval95"]),
+        None if speed_m_s is None else _number("impact_speed", speed_m_s),
+    )
+
+
+def _curves(fields: Mapping[str, Any]) -> Curves:
+    """What `to_json` wrote of curves."""
+    names = ("seconds", "observed_m", "simulated_m")
+    seconds, observed_m, simulated_m = (np.array(fields[name], np.float64) for name in names)
+    shapes = {seconds.shape, observed_m.shape, simulated_m.shape}
+    if shapes != {(len(seconds),)} or not 2 <= len(seconds) <= MOST_SAMPLES:
+        raise ValueError("its curves have different lengths")
+    far = [np.abs(curve).max() for curve in (seconds, observed_m, simulated_m)]
+    if not all(reach < _FARTHEST for reach in far) or np.any(np.diff(seconds) <= 0):
+        raise ValueError("its curves make no sense")
+    return Curves(int(fields["start_ns"]), seconds, observed_m, simulated_m)

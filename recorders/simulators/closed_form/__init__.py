@@ -1,0 +1,1 @@
+"""Motion that has a formula, without an engine."""

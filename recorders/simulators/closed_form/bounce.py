@@ -1,0 +1,117 @@
+"""A bounce in closed form: a restitution, how it falls with speed, and the air's drag.
+
+Time s in sqrt(2 H / g) after the first impact, height u above contact in drop heights H, so that
+u'' = -2 - drag u' |u'|. Without drag the ball falls from u = 1 at s = -1, and n impacts later
+u = x (w - x), with x the time since that impact and w the speed that it left.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from tunenet_logs.arrays import Array
+
+_MOST_FLIGHTS = 400
+"""More than any log has impacts: it ends the flights of a restitution of almost 1."""
+
+_SLOWEST = 1e-5
+"""Speed [drop heights, sqrt(2 H / g)] below which the ball is at rest: it would rise 2.5e-11 H."""
+
+_NO_DRAG = 1e-7
+"""Drag below which the ball flies on a parabola: logarithms over it lose half their digits."""
+
+
+@dataclass(frozen=True)
+class Bounce:
+    """A ball's bounces, each number without a unit.
+
+    Attributes:
+        restitution: at the first impact, e_1.
+        slope: p of e_n = e_1 (v_n / v_1)^-p: how the restitution falls with the impact's speed.
+        drag: quadratic drag, deceleration over speed squared, times the drop height.
+        each: restitutions at the first impacts, where they follow no law.
+    """
+
+    restitution: float
+    slope: float = 0.0
+    drag: float = 0.0
+    each: tuple[float, ...] = ()
+
+    def heights(self, places: Array) -> Array:
+        """Heights u over contact.
+
+        Args:
+            places: times s [sqrt(2 H / g)] after the first impact, shape (T,).
+
+        Returns:
+            Shape (T,) [drop heights]; 1 before the fall, 0 once the ball is at rest.
+        """
+        starts, speeds = self.flights(float(places.max(initial=0.0)))
+        flight = np.maximum(np.searchsorted(starts, places, side="right") - 1, 0)
+        after = np.maximum(places - starts[flight], 0.0)
+        speed = speeds[flight]
+        if self.drag < _NO_DRAG:
+            fall = 1.0 - np.maximum(places + 1.0, 0.0) ** 2
+            return np.where(places < 0.0, fall, np.maximum(after * (speed - after), 0.0))
+        rate, lasts = np.sqrt(2.0 * self.drag), self.fall_time
+        since = np.clip(places + lasts, 0.0, lasts)
+        fall = 1.0 - np.log(np.cosh(rate * since)) / self.drag
+        angle = np.arctan(speed * np.sqrt(self.drag / 2.0))
+        to_apex = angle - rate * after
+        up = np.log(np.cos(np.maximum(to_apex, 0.0)) / np.cos(angle)) / self.drag
+        down = np.log(np.cosh(np.clip(-to_apex, 0.0, 20.0))) / self.drag
+        return np.where(places < 0.0, fall, np.maximum(up - down, 0.0))
+
+    def flights(self, last: float) -> tuple[Array, Array]:
+        """The flights that start up to a time.
+
+        Args:
+            last: time s [sqrt(2 H / g)].
+
+        Returns:
+            Times of their starts, the first 0, and speeds there [drop heights, sqrt(2 H / g)], each
+            of shape (N,).
+        """
+        first, each, given = self.impact_speed, self.each, len(self.each)
+        usual, power, has_drag = self.restitution, -self.slope, self.drag >= _NO_DRAG
+        start, speed = 0.0, (each[0] if each else min(usual, 1.0)) * first
+        starts, speeds, count = [start], [speed], 1
+        while start <= last and count < _MOST_FLIGHTS and speed > _SLOWEST:
+            lasted, impact = self.flight(speed) if has_drag else (speed, speed)
+            kept = each[count] if count < given else min(usual * (impact / first) ** power, 1.0)
+            start += lasted
+            speed = kept * impact
+            starts.append(start)
+            speeds.append(speed)
+            count += 1
+        if speed <= _SLOWEST:
+            speeds[-1] = 0.0
+        return np.array(starts), np.array(speeds)
+
+    @property
+    def impact_speed(self) -> float:
+        """At the end of the fall [drop heights, sqrt(2 H / g)]."""
+        if self.drag < _NO_DRAG:
+            return 2.0
+        return math.sqrt(-2.0 * math.expm1(-2.0 * self.drag) / self.drag)
+
+    @property
+    def fall_time(self) -> float:
+        """Of the fall; with drag: arccosh(e^drag) / sqrt(2 drag), exact for a small one too."""
+        if self.drag < _NO_DRAG:
+            return 1.0
+        return math.asinh(math.sqrt(math.expm1(2.0 * self.drag))) / math.sqrt(2.0 * self.drag)
+
+    def flight(self, speed: float) -> tuple[float, float]:
+        """How long a flight lasts that begins with `speed`, and the speed at its end.
+
+        Up: v' = -2 - drag v^2 gives an arctan; down: the same with +, an asinh.
+        """
+        if self.drag < _NO_DRAG:
+            return speed, speed
+        reach = speed * math.sqrt(self.drag / 2.0)
+        lasted = (math.atan(reach) + math.asinh(reach)) / math.sqrt(2.0 * self.drag)
+        return lasted, speed / math.hypot(1.0, reach)

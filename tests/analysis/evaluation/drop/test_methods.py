@@ -1,0 +1,310 @@
+"""Laws of every method that competes in the second experiment, and what each of them finds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from analysis.drop.flight_secant import FlightSecant
+from analysis.drop.presets import TRAININGS
+from analysis.estimators.base import Estimator, Problem, Trace
+from analysis.estimators.brent import Brent
+from analysis.estimators.least_squares import LeastSquares
+from analysis.estimators.tpe import Tpe
+from analysis.estimators.tunenet import TuneNet
+from analysis.evaluation.drop.method_registry import Method, paper_methods, user_methods
+from analysis.evaluation.drop.targets import EASY, HARD, DropProblems, DropTarget, draw_targets
+from analysis.evaluation.methods.cma_es import CmaEs
+from analysis.evaluation.methods.constant import Constant
+from analysis.evaluation.methods.direct import Direct, direct_pairs
+from analysis.evaluation.methods.entropy_search import EntropySearch
+from analysis.tunenet.network import Model, PaperNetwork, Scaling, initial_weights
+from analysis.tunenet.training import train
+from recorders.simulators.base import Simulator
+from recorders.simulators.contact import CALIBRATED, PAPER
+from tunenet_logs.episode import Episode
+from tunenet_logs.progress import Progress
+
+QUIET = Progress(quiet=True)
+PRESET = TRAININGS["paper-code"]
+RNG = np.random.default_rng(0)
+RAW = Scaling(np.zeros(1), np.ones(1), np.zeros(1), np.ones(1))
+UNTRAINED = Model(PaperNetwork(), initial_weights(PaperNetwork(), 400, 1, RNG), RAW)
+NETWORKS: dict[str, Model] = dict.fromkeys(("paper", "paper-code", "direct"), UNTRAINED)
+
+CASE = DropTarget(release_m=4.3, initial=0.38, truth=0.61)
+DEAD = replace(CASE, truth=0.0)
+
+
+def methods(seed: int = 0) -> dict[str, Method]:
+    both = (*paper_methods(NETWORKS, 0.5, (0.0, 1.0), seed), *user_methods(seed))
+    return {one.name: one for one in both}
+
+
+NAMES = list(methods())
+SEARCHES = ["entropy-search", "cma-es", "secant", "brent", "least-squares", "tpe"]
+DEAR = ("entropy-search", "cma-es", "tpe")
+
+
+def each(names: Iterable[str]) -> pytest.MarkDecorator:
+    """A test for each method; those that take long, or whose libraries load for long, are slow."""
+    slow = {name: pytest.mark.slow if name in DEAR else () for name in names}
+    return pytest.mark.parametrize("name", [pytest.param(one, marks=slow[one]) for one in slow])
+
+
+@pytest.fixture(scope="module")
+def problems() -> DropProblems:
+    return DropProblems(PAPER)
+
+
+Solve = Callable[..., tuple[Trace, Problem]]
+
+
+@pytest.fixture(scope="module")
+def solve(problems: DropProblems) -> Solve:
+    def run(name: str, budget: int, case: DropTarget = CASE, seed: int = 0):
+        method = methods(seed)[name]
+        problem = problems.pose(case, free_release=method.free_release)
+        return method.estimator.estimate(problem, budget), problem
+
+    return run
+
+
+def told(trace: Trace) -> list[tuple[int, list[float]]]:
+    return [(step.rollouts, step.values.tolist()) for step in trace.steps]
+
+
+def check_laws(trace: Trace, problem: Problem, budget: int) -> None:
+    counts = [step.rollouts for step in trace.steps]
+    assert counts == sorted(counts)
+    assert counts[0] == 0
+    assert counts[-1] <= problem.rollouts <= budget
+    low, high = np.array([one.bounds for one in problem.parameters]).T
+    for step in trace.steps:
+        assert step.values.shape == (len(problem.parameters),)
+        assert (low <= step.values).all()
+        assert (step.values <= high).all()
+
+
+@pytest.mark.parametrize("budget", [0, 1, 13])
+@each(NAMES)
+def test_no_method_spends_more_than_it_has(solve: Solve, name: str, budget: int):
+    trace, problem = solve(name, budget)
+    check_laws(trace, problem, budget)
+    first = trace.steps[0].values[0]
+    if name == "mean":
+        assert first == 0.5
+    elif name != "direct":
+        assert first == CASE.initial
+
+
+@each(SEARCHES)
+@pytest.mark.parametrize("initial", [0.0, 1.0])
+def test_the_first_guess_may_be_at_a_bound(solve: Solve, name: str, initial: float):
+    trace, problem = solve(name, 12, replace(CASE, initial=initial))
+    check_laws(trace, problem, 12)
+    assert problem.rollouts > 0
+
+
+@each(SEARCHES)
+def test_a_target_that_never_bounces_breaks_nothing(solve: Solve, name: str):
+    for initial in (0.0, 0.5):
+        trace, problem = solve(name, 12, replace(DEAD, initial=initial))
+        check_laws(trace, problem, 12)
+
+
+@each(NAMES)
+def test_the_same_seed_says_the_same(solve: Solve, name: str):
+    assert told(solve(name, 13)[0]) == told(solve(name, 13)[0])
+
+
+@each(["entropy-search", "cma-es", "tpe"])
+def test_another_seed_says_something_else(solve: Solve, name: str):
+    assert told(solve(name, 20)[0]) != told(solve(name, 20, seed=1)[0])
+
+
+class Silent:
+    """A simulator whose episodes do not say how they were made."""
+
+    engine = "none"
+    step_hz = 1.0
+
+    def __init__(self, simulator: Simulator) -> None:
+        self._simulator = simulator
+        self.parameters = simulator.parameters
+        self.engine, self.step_hz = simulator.engine, simulator.step_hz
+
+    def rollout(self, values: Mapping[str, float]) -> Episode:
+        episode = self._simulator.rollout(values)
+        return replace(episode, info=replace(episode.info, truth={}))
+
+
+@each(NAMES)
+def test_no_method_reads_the_truth(problems: DropProblems, solve: Solve, name: str):
+    method = methods()[name]
+    problem = problems.pose(CASE, free_release=method.free_release)
+    silent = Problem(
+        problem.target,
+        Silent(problem.simulator),  # pyright: ignore[reportPrivateUsage]
+        problem._observe,  # pyright: ignore[reportPrivateUsage]
+        problem.initial,
+    )
+    assert told(method.estimator.estimate(silent, 13)) == told(solve(name, 13)[0])
+
+
+FOUND = {
+    "secant": (4, 3e-4),
+    "brent": (30, 0.02),
+    "least-squares": (100, 0.03),  # a local minimum beside the truth
+    "tpe": (100, 0.02),
+    "cma-es": (100, 0.03),
+    "entropy-search": (60, 0.03),
+}
+
+
+@each(FOUND)
+def test_a_search_finds_what_is_there(solve: Solve, name: str):
+    rollouts, tolerance = FOUND[name]
+    for truth in (0.45, 0.61):
+        trace, _ = solve(name, rollouts, replace(CASE, initial=0.5, truth=truth))
+        assert trace.after(rollouts)[0] == pytest.approx(truth, abs=tolerance)
+
+
+@pytest.mark.parametrize("contact", [PAPER, CALIBRATED], ids=["paper", "calibrated"])
+def test_the_secant_needs_four_rollouts(contact):
+    problems = DropProblems(contact)
+    for target in draw_targets(EASY, 20, 5):
+        trace = FlightSecant().estimate(problems.pose(target), 4)
+        assert trace.after(4)[0] == pytest.approx(target.truth, abs=3e-4)
+
+
+def test_the_secant_bears_a_centimetre_of_noise(problems: DropProblems):
+    targets = draw_targets(EASY, 20, 5, noise_m=0.01)
+    off = [
+        FlightSecant().estimate(problems.pose(one), 5).estimate[0] - one.truth for one in targets
+    ]
+    assert np.mean(np.abs(off)) < 0.002
+
+
+@pytest.mark.slow
+def test_noise_about_a_ball_at_rest_is_no_flight(problems: DropProblems):
+    for truth in (0.0, 0.02, 0.04):
+        for seed in range(10):
+            problem = problems.pose(DropTarget(4.6, 0.4, truth, 0.01, seed))
+            assert FlightSecant().estimate(problem, 4).estimate[0] < 0.1
+
+
+def test_the_secant_gets_away_from_a_ball_that_does_not_bounce(solve: Solve):
+    trace, _ = solve("secant", 6, replace(CASE, initial=0.0))
+    assert trace.estimate[0] == pytest.approx(CASE.truth, abs=3e-4)
+    trace, _ = solve("secant", 6, replace(DEAD, initial=0.6))
+    assert trace.estimate[0] < 0.1
+    trace, _ = solve("secant", 10, replace(DEAD, initial=0.02))
+    assert trace.estimate[0] < 0.01
+
+
+@pytest.mark.parametrize("initial", [0.05, 0.6])
+@pytest.mark.parametrize("truth", [0.03, 0.0858, 0.1038, 0.12])
+def test_the_secant_finds_flights_too_short_to_be_seen(solve: Solve, truth: float, initial: float):
+    for release_m in (4.1, 4.6, 4.9):
+        case = DropTarget(release_m, initial, truth)
+        trace, problem = solve("secant", 10, case)
+        assert trace.estimate[0] == pytest.approx(truth, abs=3e-3)  # 10 rollouts end there
+        assert problem.rollouts <= 10
+        assert trace.after(10)[0] == trace.estimate[0]
+
+
+def test_the_secant_finds_what_lies_above_a_step_too_far(problems: DropProblems):
+    low = [one for one in draw_targets(HARD, 100, -3) if 0.1 < one.truth < 0.25]
+    assert len(low) > 5
+    for target in low:
+        trace = FlightSecant().estimate(problems.pose(target), 10)
+        assert trace.estimate[0] == pytest.approx(target.truth, abs=2e-3)
+
+
+def test_the_secant_is_exact_where_the_first_flight_is_clean(problems: DropProblems):
+    for target in draw_targets(EASY, 20, -1):
+        trace = FlightSecant().estimate(problems.pose(target), 10)
+        assert trace.estimate[0] == pytest.approx(target.truth, abs=2e-9)
+
+
+@pytest.mark.slow
+def test_cma_es_answers_with_its_mean_after_whole_generations(solve: Solve):
+    trace, problem = solve("cma-es", 25)
+    assert [step.rollouts for step in trace.steps] == [0, 10, 20]
+    assert problem.rollouts == 20
+    assert trace.after(9)[0] == CASE.initial
+    assert not list(Path().glob("outcmaes*"))
+
+
+@pytest.mark.slow
+def test_entropy_search_stops_when_its_estimate_stays(problems: DropProblems):
+    spent = {}
+    for patience in (1, 2, None):
+        problem = problems.pose(CASE)
+        EntropySearch((0.0, 1.0), 0, patience).estimate(problem, 30)
+        spent[patience] = problem.rollouts
+    assert spent[1] < 30
+    assert spent[1] <= spent[2] <= spent[None] == 30
+
+
+@pytest.mark.slow
+def test_entropy_search_answers_with_bins_of_its_range(problems: DropProblems):
+    trace = EntropySearch((0.3, 0.7), 0).estimate(problems.pose(CASE), 10)
+    bins = np.linspace(0.3, 0.7, 50)
+    assert len(trace.steps) > 1
+    assert all(np.isclose(bins, step.values[0]).any() for step in trace.steps[1:])
+
+
+@each(["brent", "least-squares", "tpe"])
+def test_what_keeps_the_best_never_gets_worse(solve: Solve, name: str):
+    trace, problem = solve(name, 25)
+    looks = [step.evaluation for step in trace.steps if step.evaluation is not None]
+    costs = [float(np.linalg.norm(problem.misfit(look))) for look in looks]
+    assert len(costs) > 1
+    assert costs == sorted(costs, reverse=True)
+
+
+@pytest.mark.slow
+def test_direct_prediction_learns_the_value_itself(problems: DropProblems):
+    pairs = PRESET.make_pairs(200, 0, 1, QUIET)
+    direct = direct_pairs(pairs)
+    assert np.array_equal(direct.residuals, pairs.values[pairs.target])
+    assert not direct.observations[direct.proposed].any()
+    model = train(PRESET.network, direct, replace(PRESET.recipe, epochs=60), 0, QUIET)
+    zeros, _ = model.scaling.inputs(np.zeros((1, 400, 1)), pairs.observations[:1])
+    assert not zeros.any()
+    off = []
+    for target in draw_targets(EASY, 30, 5):
+        problem = problems.pose(target)
+        trace = Direct(model).estimate(problem, 100)
+        assert problem.rollouts == 0
+        off.append(abs(trace.estimate[0] - target.truth))
+    assert np.mean(off) < 0.03  # the mean of the targets is off by 0.1
+
+
+def test_rows_of_the_table_have_names_of_their_own():
+    assert len(NAMES) == 10
+    kinds: tuple[type, ...] = (Constant, EntropySearch, CmaEs, Direct, TuneNet, TuneNet)
+    kinds += (FlightSecant, Brent, LeastSquares, Tpe)
+    rows = list(methods().values())
+    assert [type(one.estimator) for one in rows] == list(kinds)
+    estimators: list[Estimator] = [one.estimator for one in rows]
+    assert all(one.name for one in estimators)
+    assert [one.name for one in rows if one.free_release] == ["cma-es"]
+    assert {one.name for one in rows if one.budget == 0} == {"mean", "direct"}
+
+
+@pytest.mark.slow
+def test_no_search_is_lost_where_the_first_guess_is_far(problems: DropProblems):
+    targets = draw_targets(HARD, 10, 5)
+    bounds = {"secant": (6, 0.002), "brent": (30, 0.05), "least-squares": (60, 0.03)}
+    for name, (rollouts, most) in bounds.items():
+        estimator = methods()[name].estimator
+        traces = [estimator.estimate(problems.pose(one), rollouts) for one in targets]
+        off = [trace.estimate[0] - one.truth for trace, one in zip(traces, targets, strict=True)]
+        assert np.mean(np.abs(off)) < most, name

@@ -1,0 +1,125 @@
+"""Texts of others on a terminal: nothing but characters that print, whatever a log holds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from analysis.cli.tune import main as tunenet_tune
+from tests.strangers import Stranger, write_poses, write_poses_bag, write_texts
+from tunenet_logs.cli import main as logs
+from tunenet_logs.episode import EpisodeInfo
+from tunenet_logs.text import listed, one_line, short_name
+from tunenet_logs.writer import EpisodeWriter
+
+HOSTILE = "/b\x1b[31m\nwarning: x\r\t\x9b5m\u202e\u2066\x00\x7f"
+SHOWN = r"/b\x1b[31m\nwarning: x\r\t\x9b5m\u202e\u2066\x00\x7f"
+
+
+def hostile_mcap(path: Path) -> None:
+    write_poses(path, *Stranger(0.7).samples(), topic=HOSTILE)
+
+
+def hostile_bag(path: Path) -> None:
+    write_poses_bag(path, *Stranger(0.7).samples(), topic=HOSTILE)
+
+
+def hostile_type(path: Path) -> None:
+    write_texts(path, f"pkg/msg/{HOSTILE}", [{}], topic=HOSTILE)
+
+
+def hostile_notes(path: Path) -> None:
+    info = EpisodeInfo(
+        kind=HOSTILE,
+        source=HOSTILE,
+        preset=HOSTILE,
+        rig={HOSTILE: 1.0},
+        notes={HOSTILE: HOSTILE},
+    )
+    with EpisodeWriter(path, info, live=False):
+        pass
+
+
+def hostile_table(path: Path) -> None:
+    path.write_text("time,\x1b[31mq\u202e,x\x9b,z\n0,1,2,3\n1,2,3,4\n")
+
+
+def hostile_damage(path: Path) -> None:
+    write_texts(path, "foxglove.PoseInFrame", [{}, {}], topic=HOSTILE)
+
+
+LOGS = {
+    "a.mcap": hostile_mcap,
+    "a.bag": hostile_bag,
+    "type.mcap": hostile_type,
+    "notes.mcap": hostile_notes,
+    "a.csv": hostile_table,
+    "damage.mcap": hostile_damage,
+}
+
+
+@pytest.mark.parametrize("name", LOGS)
+def test_every_command_prints_what_prints(
+    tmp_path: Path, name: str, capfd: pytest.CaptureFixture[str]
+):
+    folder = tmp_path / "\x1b[31m\nwarning: y\u202e"
+    folder.mkdir()
+    log = folder / name
+    LOGS[name](log)
+    tune = (log, "-o", folder / "out", "--quiet")
+    for main, *words in (
+        (logs, "info", log),
+        (logs, "info", log, folder / "none.mcap"),
+        (logs, "check", log),
+        (logs, "recover", log, "-o", folder / "saved.mcap"),
+        (logs, "import", log, "-o", folder / "ours.mcap"),
+        (logs, "import", log, "-o", folder / "ours.mcap"),
+        (tunenet_tune, *tune),
+        (tunenet_tune, *tune, "--start", "3"),
+        (tunenet_tune, *tune, "--topic", HOSTILE + "?"),
+        (tunenet_tune, *tune, "--preview", "--debug", "--topic", HOSTILE + "?"),
+    ):
+        main([str(one) for one in words])
+        lines = "".join(capfd.readouterr()).split("\n")
+        assert not [line for line in lines if not line.isprintable()], words
+        assert not [line for line in lines if line.startswith("warning")], words
+        assert any(r"\x1b[31m\nwarning: y\u202e" in line for line in lines), words
+
+
+def test_a_hostile_name_is_shown_as_its_escapes(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+    hostile_mcap(tmp_path / "a.mcap")
+    assert logs(["info", str(tmp_path / "a.mcap")]) == 0
+    assert SHOWN in capfd.readouterr().out
+    assert tunenet_tune([str(tmp_path / "a.mcap"), "--topic", "nope"]) == 1
+    assert f"there is: {SHOWN}" in capfd.readouterr().out
+
+
+@given(st.text())
+def test_one_line_prints_and_leaves_alone_what_prints_already(text: str):
+    line = one_line(text)
+    assert line.isprintable()
+    assert one_line(line) == line
+    assert line == text or not text.isprintable()
+
+
+def test_a_file_name_that_is_no_text_prints():
+    assert one_line(Path("a\udcff.mcap")) == r"a\udcff.mcap"
+    assert one_line("/bäll pose ✓") == "/bäll pose ✓"
+
+
+@pytest.mark.parametrize("length", [1, 59, 60, 61, 241, 5000])
+def test_a_long_name_keeps_its_ends(length: int):
+    name = "/a" + "b" * (length - 3) + "/z" if length > 3 else "/"
+    short = short_name(name)
+    assert len(short) == min(len(name), 60)
+    assert (short[0], short[-1]) == (name[0], name[-1])
+    assert ("…" in short) == (len(name) > 60)
+
+
+def test_of_very_many_names_the_first_are_listed():
+    assert listed(["a", "b"]) == "a, b"
+    assert listed([]) == ""
+    assert listed(str(one) for one in range(500)).endswith("18, 19 and 480 more")

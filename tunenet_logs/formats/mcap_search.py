@@ -1,0 +1,91 @@
+"""Searching an MCAP file that is damaged: the next chunk, the summary at the end."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from typing import BinaryIO
+
+from mcap.opcode import Opcode
+
+from tunenet_logs.formats.compression import MAX_PART_BYTES
+
+MAGIC = b"\x89MCAP0\r\n"
+"""An MCAP file begins and ends with it."""
+
+# The structures of the MCAP specification, all little-endian.
+HEAD = struct.Struct("<BQ")
+"""Kind and length [bytes] of a record."""
+
+CHUNK = struct.Struct("<QQQII")
+"""Of a chunk: first and last stamp [ns], size unpacked [bytes], checksum, length [bytes] of the
+compression's name."""
+
+FOOTER = struct.Struct("<QQI")
+"""Of the footer: where summary and its offsets begin [bytes], checksum."""
+
+_BLOCK_BYTES = 1024 * 1024
+"""Read at a time: few calls, and little memory beside a chunk's."""
+
+_MARKS = (b"\x04\x00\x00\x00zstd", b"\x03\x00\x00\x00lz4")
+"""A chunk's compression as it is stored: what to look for behind a damaged place."""
+
+_LEAD_BYTES = HEAD.size + CHUNK.size - 4
+"""From a chunk's begin to its mark, whose first 4 bytes are the last field of `CHUNK`."""
+
+
+def summary_records(file: BinaryIO, size: int) -> Iterator[tuple[int, memoryview]]:
+    """Kind and body of each record of the summary at the end of a file of `size` bytes.
+
+    None where the footer is missing, the summary is too large, or its checksum is wrong.
+
+    Raises:
+        ValueError, struct.error, OSError: there is no footer at the end.
+    """
+    footer_at = size - len(MAGIC) - HEAD.size - FOOTER.size
+    file.seek(footer_at)
+    opcode, _ = HEAD.unpack(file.read(HEAD.size))
+    start, _, crc = FOOTER.unpack(file.read(FOOTER.size))
+    length = footer_at + HEAD.size + FOOTER.size - 4 - start
+    if opcode != Opcode.FOOTER or not 0 < start < footer_at or length > MAX_PART_BYTES:
+        return
+    file.seek(start)
+    summary = memoryview(file.read(length))
+    if zlib.crc32(summary) != crc:
+        return
+    at = 0
+    while at + HEAD.size < len(summary):
+        opcode, length = HEAD.unpack_from(summary, at)
+        at += HEAD.size
+        yield opcode, summary[at : at + length]
+        at += length
+
+
+def next_chunk(file: BinaryIO, start: int, size: int) -> int | None:
+    """Where, from `start` on, the next packed chunk begins that fits the file of `size` bytes.
+
+    Leaves the file's position as it was.
+    """
+    here = file.tell()
+    try:
+        while start < size:
+            file.seek(start)
+            block = file.read(_BLOCK_BYTES + _LEAD_BYTES + 16)
+            for begin in sorted(_begins(block)):
+                opcode, length = HEAD.unpack_from(block, begin)
+                if opcode == Opcode.CHUNK and start + begin + HEAD.size + length <= size:
+                    return start + begin
+            start += _BLOCK_BYTES
+        return None
+    finally:
+        file.seek(here)
+
+
+def _begins(block: bytes) -> Iterator[int]:
+    """Where in a block chunks may begin, by their marks."""
+    for mark in _MARKS:
+        found = block.find(mark, _LEAD_BYTES)
+        while found >= 0:
+            yield found - _LEAD_BYTES
+            found = block.find(mark, found + 1)

@@ -1,0 +1,241 @@
+"""What the message types of others hold: positions, joints or pictures, and where in the message.
+
+ROS and Foxglove types have the same fields in every encoding, so one line serves them all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tunenet_logs.formats.base import RawChannel
+from tunenet_logs.formats.ros import ros_name
+
+PositionSample = tuple[int, str, str, float, float, float]
+"""Stamp [ns] (0: not set), of what ("": the topic's own), in which frame ("": any); x, y, z [m]."""
+
+STAMP_FIELDS = (("sec", "nanosec"), ("seconds", "nanos"), ("sec", "nsec"), ("secs", "nsecs"))
+"""What ROS 2, protobuf, Foxglove's JSON and ROS 1 call the parts of a time."""
+
+
+@dataclass(frozen=True)
+class PositionType:
+    """A type with positions."""
+
+    read: Callable[[Any], Iterable[PositionSample]]
+
+
+class JointSample(NamedTuple):
+    """What one message says of joints: rad, rad/s, N·m; empty where it does not say."""
+
+    stamp_ns: int
+    names: tuple[str, ...]
+    position: Sequence[float] | np.ndarray = ()
+    velocity: Sequence[float] | np.ndarray = ()
+    effort: Sequence[float] | np.ndarray = ()
+
+
+@dataclass(frozen=True)
+class JointType:
+    """A type with the state of joints."""
+
+    read: Callable[[Any], JointSample]
+
+
+@dataclass(frozen=True, eq=False)
+class PictureSample:
+    """One message's image; `size` and `step` are those of bare pixels.
+
+    Attributes:
+        step: bytes from one row to the next; 0 where there is no row between.
+    """
+
+    stamp_ns: int
+    encoding: str
+    data: Any
+    size: tuple[int, int] | None = None
+    step: int = 0
+    is_bigendian: bool = False
+
+
+@dataclass(frozen=True)
+class PictureType:
+    """A type with an image.
+
+    Attributes:
+        is_video: whether a picture can be decoded only after those before it.
+    """
+
+    read: Callable[[Any], PictureSample]
+    is_video: bool = False
+
+
+MessageType = PositionType | JointType | PictureType
+"""What a type of messages holds."""
+
+
+def message_type_of(channel: RawChannel) -> MessageType | None:
+    """What a channel's type holds; None if nothing that is used."""
+    name = type_key(channel.type_name)
+    if name in _KINOVA:
+        return _kinova(channel.topic if name.endswith("Angles") else name)
+    return _MESSAGE_TYPES.get(name)
+
+
+def type_key(type_name: str) -> str:
+    """A type by the one name that it goes by here, however ROS 1, ROS 2 or Foxglove write it."""
+    name = ros_name(type_name)
+    package, _, plain = name.rpartition("/msg/")
+    return f"foxglove.{plain}" if package in ("foxglove_msgs", "foxglove") else name
+
+
+def time_ns(time: Any) -> int:
+    """A time of ROS, protobuf or JSON [ns]."""
+    for whole, part in STAMP_FIELDS:
+        if hasattr(time, whole) and hasattr(time, part):
+            return int(getattr(time, whole)) * 1_000_000_000 + int(getattr(time, part))
+    raise ValueError("it holds no time that is understood")
+
+
+def _ros_stamp(message: Any) -> int:
+    stamp = message.header.stamp
+    try:
+        return stamp.sec * 1_000_000_000 + stamp.nanosec
+    except AttributeError:
+        return time_ns(stamp)
+
+
+def _place(stamp_ns: int, point: Any, name: str = "", frame: str = "") -> PositionSample:
+    return stamp_ns, name, frame, float(point.x), float(point.y), float(point.z)
+
+
+def _at(path: str) -> PositionType:
+    """A type with a header, and a point at `path`."""
+    fields = path.split(".")
+
+    def read(message: Any) -> Iterable[PositionSample]:
+        point = message
+        for name in fields:
+            point = getattr(point, name)
+        return (_place(_ros_stamp(message), point),)
+
+    return PositionType(read)
+
+
+def _transforms(message: Any) -> Iterable[PositionSample]:
+    return [
+        _place(
+            _ros_stamp(transform),
+            transform.transform.translation,
+            transform.child_frame_id,
+            str(getattr(transform.header, "frame_id", "")),
+        )
+        for transform in message.transforms
+    ]
+
+
+def _frame_transform(transform: Any) -> PositionSample:
+    parent = str(getattr(transform, "parent_frame_id", ""))
+    return _place(
+        time_ns(transform.timestamp), transform.translation, transform.child_frame_id, parent
+    )
+
+
+def _joint_state(message: Any) -> JointSample:
+    names = tuple(message.name)
+    return JointSample(
+        _ros_stamp(message), names, message.position, message.velocity, message.effort
+    )
+
+
+def _foxglove_joints(message: Any) -> JointSample:
+    def values(field: str) -> list[float]:
+        found = [_optional(joint, field) for joint in message.joints]
+        return found if any(value == value for value in found) else []  # noqa: PLR0124 (NaN)
+
+    names = tuple(joint.name for joint in message.joints)
+    stamp_ns = time_ns(message.timestamp)
+    return JointSample(stamp_ns, names, values("position"), values("velocity"), values("effort"))
+
+
+def _optional(joint: Any, field: str) -> float:
+    if hasattr(joint, "HasField") and not joint.HasField(field):
+        return float("nan")
+    value = getattr(joint, field, None)
+    return float("nan") if value is None else float(value)
+
+
+_KINOVA = frozenset(
+    ("kinova_msgs/msg/JointAngles", "kinova_msgs/msg/JointTorque", "kinova_msgs/msg/JointVelocity")
+)
+"""Seven numbers in the same fields, in degrees where they are angles; without a header."""
+
+_KINOVA_NAMES = tuple(f"joint{number}" for number in range(1, 8))
+"""The fields of these, and what the joints are called."""
+
+
+def _kinova(name: str) -> JointType:
+    """Kinova's messages: no header, degrees; the topic tells torques that are typed as angles."""
+    last = name.rpartition("/")[2].lower()
+
+    def read(message: Any) -> JointSample:
+        values = np.array([getattr(message, name) for name in _KINOVA_NAMES], np.float64)
+        if "torque" in last:
+            return JointSample(0, _KINOVA_NAMES, effort=values)
+        if "velocity" in last:
+            return JointSample(0, _KINOVA_NAMES, velocity=np.radians(values))
+        return JointSample(0, _KINOVA_NAMES, position=np.radians(values))
+
+    return JointType(read)
+
+
+def _compressed_image(message: Any) -> PictureSample:
+    return PictureSample(_ros_stamp(message), message.format, message.data)
+
+
+def _image(message: Any) -> PictureSample:
+    return _raw(_ros_stamp(message), message, bool(message.is_bigendian))
+
+
+def _raw(stamp_ns: int, message: Any, is_bigendian: bool = False) -> PictureSample:
+    size = (int(message.width), int(message.height))
+    encoding, step = str(message.encoding), int(message.step)
+    return PictureSample(stamp_ns, encoding, message.data, size, step, is_bigendian)
+
+
+def _foxglove_image(message: Any) -> PictureSample:
+    return PictureSample(time_ns(message.timestamp), message.format, message.data)
+
+
+_MESSAGE_TYPES: dict[str, MessageType] = {
+    "geometry_msgs/msg/PoseStamped": _at("pose.position"),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": _at("pose.pose.position"),
+    "geometry_msgs/msg/PointStamped": _at("point"),
+    "geometry_msgs/msg/TransformStamped": _at("transform.translation"),
+    "nav_msgs/msg/Odometry": _at("pose.pose.position"),
+    "tf2_msgs/msg/TFMessage": PositionType(_transforms),
+    "foxglove.PoseInFrame": PositionType(
+        lambda message: (_place(time_ns(message.timestamp), message.pose.position),)
+    ),
+    "foxglove.Point3InFrame": PositionType(
+        lambda message: (_place(time_ns(message.timestamp), message.point),)
+    ),
+    "foxglove.Odometry": PositionType(
+        lambda message: (_place(time_ns(message.timestamp), message.pose.position),)
+    ),
+    "foxglove.FrameTransform": PositionType(lambda message: (_frame_transform(message),)),
+    "foxglove.FrameTransforms": PositionType(
+        lambda message: [_frame_transform(one) for one in message.transforms]
+    ),
+    "sensor_msgs/msg/JointState": JointType(_joint_state),
+    "foxglove.JointStates": JointType(_foxglove_joints),
+    "sensor_msgs/msg/CompressedImage": PictureType(_compressed_image),
+    "sensor_msgs/msg/Image": PictureType(_image),
+    "foxglove.CompressedImage": PictureType(_foxglove_image),
+    "foxglove.RawImage": PictureType(lambda message: _raw(time_ns(message.timestamp), message)),
+    "foxglove.CompressedVideo": PictureType(_foxglove_image, is_video=True),
+}
+"""By the name that `type_key` gives; a new type is one line here, and one in `shapes.py`."""
