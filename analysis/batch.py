@@ -13,19 +13,18 @@ from pathlib import Path
 from typing import Any
 
 from analysis.processes import Piece, parallel_map
-from analysis.record import Provenance, record_of
+from analysis.record import Provenance, Tuning, record_of
 from analysis.record_json import to_json
 from analysis.report import Row, row_of
 from analysis.result_files import PARTIAL, check_own, log_sha256, replacing
 from analysis.review.tuning_review import write_review
 from analysis.selection import Options, Selection
 from analysis.tuning import tune_log
-from analysis.tuning_result import Tuning
 from tunenet_logs.commandline import print_traceback
 from tunenet_logs.errors import LogError, UsageError, WeightsError
 from tunenet_logs.formats.registry import is_folder
 from tunenet_logs.output.log_place import ACTIVE_SUFFIX
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 
 @dataclass(frozen=True)

@@ -18,13 +18,13 @@ from analysis.tunenet.training import Recipe
 from recorders.simulators.base import Parameter
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 if TYPE_CHECKING:
     from rerun import RecordingStream
     from rerun.blueprint import Container
 
-    from analysis.tuning_result import Tuning
+    from analysis.record import Tuning
 
 
 class Claim(IntEnum):

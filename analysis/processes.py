@@ -13,7 +13,7 @@ from multiprocessing import active_children, get_context
 from typing import Generic, TypeVar
 
 from tunenet_logs.commandline import BLAS_THREADS
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -65,7 +65,8 @@ def parallel_map(
 
         def done(at: int, result: Result) -> None:
             results[at] = result
-            bar.set_postfix_str(pieces[at].name, refresh=False)
+            if pieces[at].name:
+                bar.set_postfix_str(pieces[at].name, refresh=False)
             bar.update(pieces[at].units)
 
         if jobs == 1 and may_stay:

@@ -1,16 +1,81 @@
-"""The record of a tuning: what planning, campaigns, tables and reviews read of it."""
+"""What came out for one log: a `Tuning`, with all that a review draws, and its `Record`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from analysis.checks import Check, CrossCheck, Verdict
+from analysis.estimators.base import Trace
 from tunenet_logs.arrays import Array
+from tunenet_logs.episode import Episode
 
 if TYPE_CHECKING:
-    from analysis.tuning_result import Tuning
+    from analysis.experiment import Experiment
+
+
+@dataclass(frozen=True, eq=False)
+class Tuning:
+    """What came out for one log.
+
+    Attributes:
+        reason: why the verdict is not "ok"; None if it is.
+        experiment: None where the log could not be read.
+        episode: the log as it was read; None if it could not be.
+        detection: what the experiment found in it, a `Detection`; None if nothing.
+        trace: the iterates, each with its rollout; None where there are none.
+        rollouts: all simulator runs, those that check the answer too.
+        simulator: "engine", "preset", "step_hz"; None where nothing was simulated.
+        digest: SHA-256 of the weights; "" without.
+        seconds: wall time of "read", "observe", "tune", "total".
+    """
+
+    log: Path
+    task: str | None
+    preset: str
+    verdict: Verdict
+    reason: str | None
+    experiment: Experiment | None = None
+    episode: Episode | None = None
+    detection: Any = None
+    trace: Trace | None = None
+    rollouts: int = 0
+    cross_check: CrossCheck | None = None
+    checks: tuple[Check, ...] = ()
+    warnings: tuple[str, ...] = ()
+    simulator: Mapping[str, Any] | None = None
+    method: str | None = None
+    digest: str = ""
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def physical(self) -> bool:
+        """Whether the values are the object's own, or numbers of one engine's settings."""
+        return self.experiment is None or self.experiment.presets[self.preset].physical
+
+    @property
+    def estimate(self) -> Array | None:
+        """The tuned values, shape (P,); None for a rejected log."""
+        if self.trace is None or self.verdict == "rejected":
+            return None
+        return self.trace.estimate
+
+    @property
+    def interval95(self) -> Array | None:
+        """Of the tuned values, shape (P, 2); None where none is honest.
+
+        An interval reflects noise. Where a check doubts the model behind it, it would only look
+        certain.
+        """
+        if self.estimate is None or self.trace is None or self.trace.fit is None:
+            return None
+        doubts = [check for check in self.checks if check.doubts_model and not check.passed]
+        if doubts or (self.cross_check is not None and not self.cross_check.agrees):
+            return None
+        return self.trace.fit.interval95
+
 
 Interval = tuple[float, float]
 """Lower and upper end."""
@@ -148,14 +213,18 @@ def record_of(tuning: Tuning, provenance: Provenance | None = None) -> Record:
     estimates: list[Estimate] = []
     if tuning.estimate is not None and experiment is not None:
         for index, parameter in enumerate(experiment.parameters):
-            ends = None if intervals is None else _ends(intervals[index])
+            ends = None if intervals is None else tuple(intervals[index].tolist())
             value = float(tuning.estimate[index])
             estimates.append(Estimate(parameter.name, parameter.unit, value, ends))
-        for extra in tuning.extra:
-            ends = None if intervals is None else tuple(map(_ends, extra.interval95))
+        for extra in trace.fit.extra if trace and trace.fit else ():
+            ends = None if intervals is None else tuple(map(tuple, extra.interval95.tolist()))
             estimates.append(Estimate(extra.name, extra.unit, tuple(extra.values.tolist()), ends))
-    curves, rebounds = None, ()
+    curves, rebounds, iterations = None, (), ()
     if trace is not None and experiment is not None:
+        names = [parameter.name for parameter in experiment.parameters]
+        iterations = tuple(
+            dict(zip(names, step.values.tolist(), strict=True)) for step in trace.steps
+        )
         curves = experiment.curves(detection, trace.steps[-1])
         if estimates and tuning.physical:
             rebounds = experiment.rebounds(detection, trace)
@@ -164,6 +233,9 @@ def record_of(tuning: Tuning, provenance: Provenance | None = None) -> Record:
                 Rebound(bounce.impact_s, bounce.restitution, None, bounce.impact_speed_m_s)
                 for bounce in rebounds
             )
+    window = None
+    if detection is not None:
+        window = {name: float(at_s) for name, at_s in detection.window.items()}
     return Record(
         log=tuning.log.name,
         task=tuning.task,
@@ -173,7 +245,7 @@ def record_of(tuning: Tuning, provenance: Provenance | None = None) -> Record:
         physical=tuning.physical,
         method=tuning.method,
         rollouts=tuning.rollouts,
-        iterations=tuning.iterations,
+        iterations=iterations,
         is_fitted=trace is not None and trace.fit is not None,
         rebounds=rebounds,
         cross_check=tuning.cross_check,
@@ -183,17 +255,8 @@ def record_of(tuning: Tuning, provenance: Provenance | None = None) -> Record:
         weights={"preset": tuning.preset, "sha256": tuning.digest} if tuning.digest else None,
         ball=tuning.episode and tuning.episode.info.notes.get("ball"),
         topic=None if detection is None else detection.topic,
-        window=None if detection is None else _floats(detection.window),
+        window=window,
         seconds=tuning.seconds,
         provenance=provenance,
         curves=curves,
     )
-
-
-def _floats(values: Mapping[str, float]) -> dict[str, float]:
-    return {name: float(value) for name, value in values.items()}
-
-
-def _ends(interval: Array) -> Interval:
-    low, high = interval.tolist()
-    return low, high

@@ -14,7 +14,7 @@ import numpy as np
 from analysis.checks import Check, CrossCheck, Verdict
 from analysis.record import MOST_SAMPLES, Curves, Estimate, Interval, Provenance, Rebound, Record
 from tunenet_logs.errors import LogError
-from tunenet_logs.text import one_line
+from tunenet_logs.terminal import one_line
 
 Value = TypeVar("Value")
 

@@ -24,9 +24,9 @@ EXPERIMENTS = {
 """Name -> module:class. One kind of experiment may be observed in several ways: KIND-WAY."""
 
 METHODS = {
-    "tunenet+refine": "analysis.estimators.exact_fit:TuneNetThenFit",
+    "tunenet+refine": "analysis.estimators.tunenet:TuneNetThenFit",
     "tunenet": "analysis.estimators.tunenet:TuneNet",
-    "fit": "analysis.estimators.exact_fit:ExactFit",
+    "fit": "analysis.estimators.tunenet:ExactFit",
     "tunenet+line": "analysis.estimators.rollout_line:TuneNetThenLine",
     "line": "analysis.estimators.rollout_line:RolloutLine",
     "secant": "analysis.drop.flight_secant:FlightSecant",

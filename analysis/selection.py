@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from recorders.simulators.balls import Ball
+from recorders.simulators.balls import UNKNOWN_BALL, Ball
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import NotFoundError
 
@@ -44,7 +44,7 @@ class Selection:
     start_s: float | None = None
     end_s: float | None = None
     hints: Hints = field(default_factory=Hints)
-    ball: Ball = field(default_factory=Ball)
+    ball: Ball = UNKNOWN_BALL
     fit_drag: bool = False
     tare: Path | Episode | None = None
     arm: tuple[Path, str] | None = None
@@ -56,7 +56,7 @@ class Selection:
             "--roi": self.hints.roi is not None,
             "--hsv": self.hints.hsv is not None,
             "--ball-at": self.hints.ball_at is not None,
-            "the ball's size and mass": self.ball != Ball(),
+            "the ball's size and mass": self.ball != UNKNOWN_BALL,
             "--fit-drag": self.fit_drag,
         }
         return tuple(name for name, is_given in given.items() if is_given)

@@ -13,11 +13,10 @@ import numpy as np
 from analysis.checks import judge, log_checks
 from analysis.estimators.base import Estimator, Problem, Setup, Step, Trace
 from analysis.experiment import Experiment, Preset
+from analysis.record import Tuning
 from analysis.registry import experiments_of, kinds, kinds_in, method_named
 from analysis.selection import Options
 from analysis.tunenet.checkpoint import load_model, shipped_model
-from analysis.tuning_result import Tuning
-from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import LogError, NotFoundError, TuneNetError, UsageError
 from tunenet_logs.reader import read_episode
@@ -106,9 +105,13 @@ def tune_detected(
     method = method_named(options.method or preset.method)
     setup = _setup(preset, method, options)
     rejected = Tuning(path, experiment.kind, options.preset, "rejected", None, experiment)
+    initial = options.initial or [
+        parameter.initial if method.uses_network else sum(parameter.training_range) / 2
+        for parameter in experiment.parameters
+    ]
     try:
         detection = detect()
-        problem = experiment.problem(detection, _initial(experiment, method, options))
+        problem = experiment.problem(detection, np.array(initial))
         watch.lap("observe")
         trace = _evaluated(method.build(setup).estimate(problem, options.iterations), problem)
     except (NotFoundError, LogError) as error:
@@ -150,16 +153,6 @@ def _setup(preset: Preset, method: type[Estimator], options: Options) -> Setup:
     if options.weights is not None:
         return Setup(load_model(options.weights, purpose))
     return Setup(shipped_model(purpose))
-
-
-def _initial(experiment: Experiment, method: type[Estimator], options: Options) -> Array:
-    """Where the estimation starts, shape (P,)."""
-    if options.initial is not None:
-        return np.array(options.initial)
-    if method.uses_network:
-        return np.array([parameter.initial for parameter in experiment.parameters])
-    middles = [sum(parameter.training_range) / 2 for parameter in experiment.parameters]
-    return np.array(middles)
 
 
 def _evaluated(trace: Trace, problem: Problem) -> Trace:

@@ -16,7 +16,7 @@ from analysis.selection import Options
 from analysis.tuning import tune_log
 from recorders.session import record_episode
 from recorders.simulated_drop import DropOrder, simulate_drop
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 COUNT = 200
 SEEDS = (1, 2, 3)

@@ -23,7 +23,7 @@ from recorders.filmed_drop import FilmOrder, film_drop
 from recorders.session import record_episode
 from recorders.simulated_drop import DropOrder
 from tunenet_logs.outcome import Outcome, write_outcome
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 BIN = Path(sys.executable).parent
 BALLS = {

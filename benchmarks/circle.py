@@ -13,8 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from recorders.simulators.arm.description import Arm, jaco
-from recorders.simulators.arm.kinematics import link_poses
-from recorders.simulators.arm.path import CIRCLE_RAD_S
+from recorders.simulators.arm.path import CIRCLE_RAD_S, link_poses
 from recorders.simulators.arm.path_file import write_path_file
 from tunenet_logs.arrays import Array
 

@@ -22,8 +22,8 @@ from tests.strangers import without_chunks
 from tunenet_logs.checking import check
 from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.errors import TuneNetError
-from tunenet_logs.progress import Progress
 from tunenet_logs.reader import read_episode
+from tunenet_logs.terminal import Progress
 from tunenet_logs.writer import EpisodeWriter
 
 Contents = tuple[tuple[Any, ...], ...]

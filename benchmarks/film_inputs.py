@@ -29,7 +29,7 @@ from recorders.simulators.closed_form.bounce import Bounce
 from recorders.simulators.contact import CALIBRATED
 from recorders.simulators.drop import DropSimulator
 from tunenet_logs.arrays import Array
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 FILMS, SIMULATED, PAIRS, HELD_OUT = 1000, 1024, 40_000, 200
 NOISES_PX = (0.3, 1.0)

@@ -22,8 +22,8 @@ with atheris.instrument_imports(  # type: ignore[attr-defined]
 ):
     from tunenet_logs.checking import check
     from tunenet_logs.errors import TuneNetError
-    from tunenet_logs.progress import Progress
     from tunenet_logs.recovery import recover
+    from tunenet_logs.terminal import Progress
 
 from benchmarks.logs_of_all_kinds import write_all
 

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 from analysis.drop.presets import TRAININGS
 from analysis.tunenet.training import train
 from recorders.simulators.pybullet.engine import pybullet
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 if TYPE_CHECKING:
     from multiprocessing.synchronize import Barrier

@@ -22,7 +22,7 @@ from analysis.tuning import tune_log
 from recorders.filmed_drop import FilmOrder, film_drop
 from recorders.session import record_episode
 from recorders.simulated_drop import DropOrder
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 COUNT = 60
 SEEDS = (1, 2, 3)

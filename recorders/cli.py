@@ -19,7 +19,7 @@ from recorders.payload_options import (
 from recorders.ros2.options import record_joints_as_asked, ros2_options
 from recorders.shot_options import record_shot_as_asked, shot_options
 from tunenet_logs.commandline import Parser, number, run, size_px, whole
-from tunenet_logs.text import one_line
+from tunenet_logs.terminal import one_line
 
 _DESCRIPTION = """\
 Record an episode to an MCAP log: a real ball that is dropped before a camera or in a
@@ -64,6 +64,8 @@ _SOURCES = {
     "joints": "--joint-states",
     "outcome": "--outcome",
 }
+"""The option of each source, as errors name it."""
+
 _WHAT = {"camera": "drop", "bounce_shot": "shot"}
 """What a log is called after where that is not its source."""
 
@@ -106,7 +108,10 @@ def build_parser() -> Parser:
         simulated_only=simulated,
         drop_only=drop,
         payload_only=payload,
-        bounce_shot_only=[*shot, *(one for one in drop if one.dest in ("restitution", "height"))],
+        bounce_shot_only=[
+            *shot,
+            *(action for action in drop if action.dest in ("restitution", "height")),
+        ],
         joints_only=joints,
         outcome_only=[*outcome, *ball],
     )

@@ -114,7 +114,7 @@ def record_drop_as_asked(arguments: argparse.Namespace, path: Path) -> str:
     """
     from recorders.session import record_episode
     from recorders.simulated_drop import DropOrder, simulate_drop
-    from tunenet_logs.progress import Progress
+    from tunenet_logs.terminal import Progress
 
     given = {
         "restitution": arguments.restitution,
@@ -151,6 +151,7 @@ def record_drop_as_asked(arguments: argparse.Namespace, path: Path) -> str:
 
 
 _FILM_OPTIONS = ("camera_at", "look_at", "fov", "blur", "pixel_noise", "lost", "size")
+"""Options that mean something to a camera alone: refused without --render."""
 
 
 def _refuse_film_options(arguments: argparse.Namespace) -> None:

@@ -87,7 +87,9 @@ class LiveRecording:
         velocity_rad_s: ArrayLike = (),
         effort_nm: ArrayLike = (),
     ) -> bool:
-        """Put a JointState; a quantity that is not known is empty. False once it is over.
+        """Put a JointState; False once the recording is over.
+
+        The quantities have shape (joints,) [rad, rad/s, N·m]; one that is not known is empty.
 
         Raises:
             ValueError: a quantity is neither empty nor one number a joint.

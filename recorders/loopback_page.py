@@ -13,11 +13,12 @@ from typing import Any, Protocol
 
 _MAX_BODY_BYTES = 1024
 """Of a request: the page sends a few numbers."""
+
 _DRAINED_BYTES = 64 * 1024
 """Of a body that is too long: with less taken, the sender might not hear the answer."""
 
 _LOOK_SECONDS = 0.1
-"""How often the server looks whether it is to end."""
+"""Between two looks whether the server is to end: closing it waits for the next one."""
 
 _HEADERS = {
     "Cache-Control": "no-store",
@@ -26,6 +27,7 @@ _HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "X-Content-Type-Options": "nosniff",
 }
+"""Of every answer: nothing is kept, and no other page can show, load or feed this one."""
 
 
 @dataclass(frozen=True)

@@ -15,14 +15,17 @@ from typing import TYPE_CHECKING, Any
 
 from tunenet_logs.commandline import number, whole
 from tunenet_logs.errors import LogError, UsageError
-from tunenet_logs.text import one_line, short_name
+from tunenet_logs.terminal import one_line, short_name
 
 if TYPE_CHECKING:
     from tunenet_logs.outcome import Outcome
 
 _TASK = "bounce-shot"
+"""Of an outcome whose task is not given: the one task that is simulated here."""
+
 _MOST_LETTERS = 1000
 """Of a text or path: it is one line of a table later."""
+
 _MOST_TUNING_BYTES = 64 * 1024**2
 """Far more than a tuning's JSON has; what is larger is another file."""
 
@@ -125,7 +128,7 @@ def _outcome(arguments: argparse.Namespace, folder: Path) -> Outcome:
 def _next(ball: str, earlier: list[Outcome]) -> int:
     from tunenet_logs.outcome import MOST_ATTEMPTS
 
-    number = 1 + max((one.attempt for one in earlier), default=0)
+    number = 1 + max((other.attempt for other in earlier), default=0)
     if number > MOST_ATTEMPTS:
         raise UsageError(f"{ball}: has an attempt {MOST_ATTEMPTS}, the last; say --attempt N")
     return number
@@ -134,7 +137,9 @@ def _next(ball: str, earlier: list[Outcome]) -> int:
 def _which_counts(outcome: Outcome, earlier: list[Outcome]) -> str:
     """What reviews will make of several outcomes of an attempt: that of the latest time counts."""
     times = [
-        one.stamp_ns for one in earlier if one.attempt == outcome.attempt and not one.is_counted
+        other.stamp_ns
+        for other in earlier
+        if other.attempt == outcome.attempt and not other.is_counted
     ]
     if not times:
         return ""
@@ -198,7 +203,7 @@ def _earlier(folder: Path, outcome: Outcome) -> list[Outcome]:
         except LogError as error:
             warn(str(error))
     kind = (outcome.task, outcome.ball)
-    return [one for one in numbered(found) if (one.task, one.ball) == kind]
+    return [other for other in numbered(found) if (other.task, other.ball) == kind]
 
 
 def _told_by(tuning: Path | None) -> tuple[float | None, Path | None]:

@@ -113,7 +113,7 @@ def record_payload_as_asked(arguments: argparse.Namespace, path: Path) -> str:
     """
     from recorders.session import record_episode
     from recorders.simulated_payload import simulate_payload
-    from tunenet_logs.progress import Progress
+    from tunenet_logs.terminal import Progress
 
     episode = simulate_payload(_order(arguments))
     summary = record_episode(

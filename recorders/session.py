@@ -14,7 +14,7 @@ from types import FrameType
 from tunenet_logs.episode import Episode
 from tunenet_logs.importing import JOINT_PARTS, joint_topics
 from tunenet_logs.messages import CAMERA_TOPIC
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 from tunenet_logs.writer import EpisodeWriter
 
 
@@ -97,10 +97,12 @@ def record_episode(
 def _samples(episode: Episode) -> Iterator[Callable[[EpisodeWriter], None]]:
     """What writes each position and each state of joints, in the order of its topic."""
     joints = joint_topics(episode)
-    of_joints = {id(one) for parts in joints.values() for one in parts.values()}
-    for topic, one in episode.signals.items():
-        if id(one) not in of_joints:
-            for stamp_ns, position_m in zip(one.stamps_ns.tolist(), one.values, strict=True):
+    of_joints = {id(part) for parts in joints.values() for part in parts.values()}
+    for topic, positions in episode.signals.items():
+        if id(positions) not in of_joints:
+            for stamp_ns, position_m in zip(
+                positions.stamps_ns.tolist(), positions.values, strict=True
+            ):
                 yield partial(
                     EpisodeWriter.write_pose,
                     topic=topic,

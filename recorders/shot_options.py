@@ -9,6 +9,7 @@ from tunenet_logs.commandline import number
 from tunenet_logs.errors import UsageError
 
 _LEAST_RATE_HZ = 50.0
+"""A flight between two impacts lasts some tenths of a second; a lower rate leaves few samples."""
 
 
 def shot_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
@@ -40,7 +41,7 @@ def record_shot_as_asked(arguments: argparse.Namespace, path: Path) -> str:
     from recorders.simulated_shot import ShotOrder, simulate_shot
     from recorders.simulators.shot.rig import ShotRig
     from recorders.simulators.shot.rig_file import read_rig
-    from tunenet_logs.progress import Progress
+    from tunenet_logs.terminal import Progress
 
     for name, why in (("size", "a picture's"), ("seconds", "for what has no end of its own")):
         if getattr(arguments, name) is not None:

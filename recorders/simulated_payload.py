@@ -192,7 +192,7 @@ def _disturbances(arm: Arm, order: PayloadOrder) -> Disturbances:
 
 def _papers_rollout(arm: Arm, payload: Payload, order: PayloadOrder) -> Episode:
     asked = (order.torque_noise_nm, order.friction_nm, order.offset_nm, order.gain_error)
-    if order.is_driver or any(one is not None for one in (*asked, order.lag_s)):
+    if order.is_driver or any(value is not None for value in (*asked, order.lag_s)):
         raise UsageError("preset paper is a rollout without errors; leave those options out")
     if order.rate_hz not in (None, PAPER.step_hz):
         raise UsageError(f"preset paper is simulated at 240 Hz, not at {order.rate_hz:g} Hz")

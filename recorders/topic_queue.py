@@ -15,6 +15,7 @@ Payload = TypeVar("Payload")
 _PAUSE_SECONDS = 0.03
 """How long messages gather before they are written in one go: a small part of the 0.25 s that may
 be lost with the process, and long enough that waking up costs nothing."""
+
 _STAMPS_KEPT = 100_000
 """Of each topic, to measure its rate: half an hour of a camera."""
 
@@ -148,13 +149,13 @@ class TopicQueue(Generic[Payload]):
     def captured(self) -> int:
         """Messages that were put in, those dropped too."""
         with self._changed:
-            return sum(one.captured for one in self._tallies.values())
+            return sum(tally.captured for tally in self._tallies.values())
 
     @property
     def dropped(self) -> int:
         """Messages that found the queue full."""
         with self._changed:
-            return sum(one.dropped for one in self._tallies.values())
+            return sum(tally.dropped for tally in self._tallies.values())
 
     @property
     def is_done(self) -> bool:

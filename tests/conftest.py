@@ -20,7 +20,7 @@ from hypothesis import settings
 from recorders.filmed_drop import FilmOrder, film_drop
 from recorders.session import record_episode
 from recorders.simulated_drop import DropOrder, simulate_drop
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 ROOT = Path(__file__).resolve().parents[1]
 BIN = Path(sys.executable).parent

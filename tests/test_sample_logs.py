@@ -14,7 +14,7 @@ from analysis.campaign.rates import overall_rates
 from analysis.selection import Options, Selection
 from analysis.tuning import tune_log
 from tests.conftest import BIN, ROOT, Command
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 FOLDER = ROOT / "sample_logs"
 SAMPLES = sorted(FOLDER.glob("*.mcap"))

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import LogError
-from tunenet_logs.progress import Progress
 from tunenet_logs.reader import read_episode
+from tunenet_logs.terminal import Progress
 
 
 @dataclass(frozen=True, eq=False)

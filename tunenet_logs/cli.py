@@ -9,8 +9,7 @@ from pathlib import Path
 
 from tunenet_logs.commandline import Parser, run
 from tunenet_logs.errors import TuneNetError
-from tunenet_logs.progress import Progress
-from tunenet_logs.text import one_line
+from tunenet_logs.terminal import Progress, one_line
 
 # The texts of --help.
 _DESCRIPTION = """\
@@ -139,7 +138,9 @@ def _check(arguments: argparse.Namespace) -> int:
     def show(log: Path) -> bool:
         health = check(log, Progress(quiet=arguments.quiet))
         channels = health.episode.channels
-        held = f"{sum(one.messages for one in channels)} messages in {len(channels)} channels"
+        held = (
+            f"{sum(channel.messages for channel in channels)} messages in {len(channels)} channels"
+        )
         print(one_line(f"{log}: {'damaged' if health.damage else 'whole'}, {held}"))
         for line in health.damage:
             print(one_line(f"  damage: {line}"))

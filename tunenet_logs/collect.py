@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable
+from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tunenet_logs.episode import Signal
 from tunenet_logs.formats.base import BeyondLimitError
@@ -16,6 +15,7 @@ from tunenet_logs.timestamp_correction import order_samples, sorted_stamps, trus
 
 _MOST_NAMES = 1000
 """Bodies or joints of one topic; more are no robot's, but a damaged or hostile log's."""
+
 _NAMES = tuple(f"joint{number}" for number in range(1, _MOST_NAMES + 2))
 """What joints without names are called; one more than there may be, so that too many are seen."""
 
@@ -35,12 +35,12 @@ class _SampleBuffer:
     values: array[float] = field(default_factory=lambda: array("d"))
 
 
+@dataclass(eq=False)
 class PositionRows:
-    """Positions of one topic, apart by body and frame."""
+    """Positions [m] of one topic, apart by body and frame."""
 
-    def __init__(self, topic: str) -> None:
-        self._topic = topic
-        self._rows: dict[tuple[str, str], _SampleBuffer] = {}
+    topic: str
+    _rows: dict[tuple[str, str], _SampleBuffer] = field(default_factory=dict, init=False)
 
     def add(self, log_ns: int, positions: Iterable[PositionSample]) -> None:
         """The positions of one message.
@@ -65,28 +65,32 @@ class PositionRows:
         notes: list[str] = []
         taken: set[str] = set()
         for (name, frame), rows in self._rows.items():
-            full = f"{self._topic}.{name}" if name else self._topic
+            full = f"{self.topic}.{name}" if name else self.topic
             if full in taken:
                 full = f"{full}@{frame}"
                 notes.append(f"{full}: {name} has a place in several frames, each is by itself")
             taken.add(full)
-            values = np.frombuffer(rows.values, np.float64).reshape(-1, 3)
             keep, stamps_ns, repairs = order_samples(
                 np.frombuffer(rows.header_ns, np.int64), np.frombuffer(rows.log_ns, np.int64)
             )
-            found.append(_signal(full, stamps_ns, values[keep], ("x", "y", "z"), "m"))
+            values = np.frombuffer(rows.values, np.float64).reshape(-1, 3)[keep]
+            values[~np.isfinite(values)] = np.nan
+            found.append(Signal(full, stamps_ns, values, ("x", "y", "z"), "m"))
             notes += [f"{full}: {repair}" for repair in repairs]
         return found, notes
 
 
+@dataclass(eq=False)
 class JointRows:
-    """Joints of one topic: positions, velocities and efforts, each a signal."""
+    """Joints of one topic: positions [rad], velocities [rad/s] and efforts [N·m], each a signal."""
+
+    topic: str
+    _blocks: dict[tuple[str, ...], tuple[_SampleBuffer, tuple[array[float], ...]]] = field(
+        default_factory=dict, init=False
+    )
 
     _QUANTITIES = (("position", "rad"), ("velocity", "rad/s"), ("effort", "N·m"))
-
-    def __init__(self, topic: str) -> None:
-        self._topic = topic
-        self._blocks: dict[tuple[str, ...], tuple[_SampleBuffer, tuple[array[float], ...]]] = {}
+    """Name and unit of each signal, in the order of a `JointSample`."""
 
     def add(self, log_ns: int, sample: JointSample) -> None:
         """One message.
@@ -114,10 +118,14 @@ class JointRows:
         velocities.frombytes(velocity or _NOTHING[:width])
         efforts.frombytes(effort or _NOTHING[:width])
 
-    def signals(self) -> tuple[list[Signal], list[str]]:
+    def signals(self, joint_names: tuple[str, ...] = ()) -> tuple[list[Signal], list[str]]:
         """Those of the three quantities that have any value, and what was repaired.
 
         Messages with one stamp and different joints make one sample: several may publish them.
+
+        Args:
+            joint_names: what the joints are called where messages carry no names; ignored unless
+                there are as many as joints, each another.
         """
         blocks = list(self._blocks.items())
         if not blocks:
@@ -130,6 +138,8 @@ class JointRows:
         notes += [repair for _, _, repairs in ordered for repair in repairs]
         stamps_ns = np.unique(np.concatenate([own_ns for _, own_ns, _ in ordered]))
         found: list[Signal] = []
+        is_given = columns == _NAMES[: len(joint_names)] and len(set(joint_names)) == len(columns)
+        shown = joint_names if is_given else columns
         for quantity, (label, unit) in enumerate(self._QUANTITIES):
             values = np.full((len(stamps_ns), len(columns)), np.nan)
             for (names, (_, stores)), (keep, own_ns, _) in zip(blocks, ordered, strict=True):
@@ -137,17 +147,19 @@ class JointRows:
                 indices = np.array([columns.index(name) for name in names])
                 cells = np.ix_(np.searchsorted(stamps_ns, own_ns), indices)
                 values[cells] = np.where(np.isnan(values[cells]), block, values[cells])
-            if np.isfinite(values).any():
-                found.append(_signal(f"{self._topic}.{label}", stamps_ns, values, columns, unit))
-        return found, [f"{self._topic}: {note}" for note in dict.fromkeys(notes)]
+            is_finite = np.isfinite(values)
+            if is_finite.any():
+                values[~is_finite] = np.nan
+                found.append(Signal(f"{self.topic}.{label}", stamps_ns, values, shown, unit))
+        return found, [f"{self.topic}: {note}" for note in dict.fromkeys(notes)]
 
 
+@dataclass(eq=False)
 class PictureStamps:
     """When the pictures of one topic were taken; they themselves are read when asked for."""
 
-    def __init__(self, topic: str) -> None:
-        self._topic = topic
-        self._header_ns: array[int] = array("q")
+    topic: str
+    _header_ns: array[int] = field(default_factory=lambda: array("q"), init=False)
 
     def add(self, _log_ns: int, picture: PictureSample) -> None:
         """One picture.
@@ -160,27 +172,4 @@ class PictureStamps:
     def trusts_header(self) -> tuple[bool, list[str]]:
         """Whether the pictures' own stamps tell the time, and if not, why not."""
         is_header, reasons = trusts_header(np.array(self._header_ns, np.int64))
-        return is_header, [f"{self._topic}: {reason}" for reason in reasons]
-
-
-def with_joint_names(signal: Signal, names: Sequence[str]) -> Signal:
-    """The same with these names for joints, where its messages carry none.
-
-    Args:
-        signal: of joints, or of anything else, which stays as it is.
-        names: as many as it has joints, else it stays as it is.
-    """
-    if signal.columns != _NAMES[: len(names)] or len(set(names)) < len(names):
-        return signal
-    return replace(signal, columns=tuple(names))
-
-
-def _signal(
-    name: str,
-    stamps_ns: NDArray[np.int64],
-    values: NDArray[np.float64],
-    columns: tuple[str, ...],
-    unit: str,
-) -> Signal:
-    values[~np.isfinite(values)] = np.nan
-    return Signal(name, stamps_ns, values, columns, unit)
+        return is_header, [f"{self.topic}: {reason}" for reason in reasons]

@@ -16,7 +16,7 @@ from typing import NoReturn
 
 from tunenet_logs import __version__
 from tunenet_logs.errors import TuneNetError, UsageError
-from tunenet_logs.text import one_line
+from tunenet_logs.terminal import one_line
 
 
 class Terminated(KeyboardInterrupt):

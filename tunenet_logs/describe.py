@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tunenet_logs.episode import Channel, Episode, EpisodeInfo
 from tunenet_logs.formats.registry import file_bytes
-from tunenet_logs.text import one_line, short_name
+from tunenet_logs.terminal import one_line, short_name
 
 _MOST_ROWS = 100
 """Channels that are shown, and warnings; a log of thousands is no reason to scroll."""
@@ -19,8 +19,8 @@ _MOST_ROWS = 100
 _COLUMNS = 60
 """Characters of the timeline: with a short topic's name it fits a terminal of 80."""
 
-_GAP = 3.0
-"""A gap is an interval of so many usual ones."""
+_GAP_PERIODS = 3.0
+"""Usual intervals: a gap is longer, which jitter and one missing sample do not make it."""
 
 _EARLIEST_DATE_NS = 1_000_000_000 * 10**9
 """Stamps before September 2001 are times of a simulator or video, not dates."""
@@ -58,11 +58,11 @@ def _table(channels: Sequence[Channel]) -> list[str]:
 
 
 def gaps_s(stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
-    """The intervals between messages that are much longer than usual [s]."""
+    """The K intervals between messages that are much longer than usual, shape (K,) [s]."""
     periods = np.diff(np.sort(stamps_ns)) * 1e-9
     if len(periods) < 2:
         return np.empty(0)
-    return periods[periods > _GAP * max(float(np.quantile(periods, 0.75)), 1e-3)]
+    return periods[periods > _GAP_PERIODS * max(float(np.quantile(periods, 0.75)), 1e-3)]
 
 
 def _span(channels: Sequence[Channel]) -> str:

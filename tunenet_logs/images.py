@@ -95,6 +95,9 @@ def decode_small(data: bytes, encoding: str, least_px: int) -> NDArray[np.uint8]
         encoding: what it is called.
         least_px: which its longer side is not to fall below.
 
+    Returns:
+        uint8, shape (H, W, 3).
+
     Raises:
         LogError: damaged, or of a size that cannot be true.
     """

@@ -14,8 +14,8 @@ from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame, Signal
 from tunenet_logs.errors import LogError, UsageError
 from tunenet_logs.jpeg import compressed
 from tunenet_logs.output.log_place import LogPlace
-from tunenet_logs.progress import Progress
 from tunenet_logs.reader import read_episode
+from tunenet_logs.terminal import Progress
 from tunenet_logs.writer import EpisodeWriter
 
 JOINT_PARTS = ("position", "velocity", "effort")
@@ -25,7 +25,7 @@ _POSITION_COLUMNS = ("x", "y", "z")
 """The columns of a signal of positions."""
 
 _MOST_REASONS = 3
-"""Losses that are named where nothing was left to import."""
+"""Losses that are named where nothing was left to import: what one line holds."""
 
 Write = Callable[[EpisodeWriter], None]
 """Writes one message."""
@@ -123,7 +123,7 @@ class _Topics:
 
     def __init__(self, names: Iterable[str]) -> None:
         self.renamed: list[str] = []
-        self._kept = {one for one in names if ros_topic(one) == one}
+        self._kept = {name for name in names if ros_topic(name) == name}
         self._taken: set[str] = set()
         self._numbers: dict[str, int] = {}
 

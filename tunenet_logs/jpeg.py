@@ -40,7 +40,7 @@ def compressed(frame: Frame) -> Frame:
 
 
 def from_bgr(pixels: np.ndarray) -> bytes:
-    """A JPEG of BGR (H, W, 3) or grey (H, W) pixels, uint8.
+    """A JPEG of pixels, uint8: of BGR, shape (H, W, 3), or of grey, shape (H, W).
 
     Raises:
         LogError: a picture wider or higher than any JPEG.

@@ -125,7 +125,9 @@ def joint_state(
     velocity_rad_s: ArrayLike,
     effort_nm: ArrayLike,
 ) -> Any:
-    """A JointState: [rad], [rad/s] and [N·m], or m, m/s and N of a joint that slides.
+    """A JointState, each quantity of shape (joints,), or empty where it is not known.
+
+    [rad], [rad/s] and [N·m], or m, m/s and N of a joint that slides.
 
     Raises:
         ValueError: a quantity is neither empty nor one number a joint.

@@ -27,6 +27,7 @@ MOST_ATTEMPTS = 1_000_000
 
 MOST_LETTERS = 1000
 """Of a text of an outcome."""
+
 _MOST_FILES = 1000
 """Outcomes of one ball, attempt and millisecond; so many names are tried."""
 

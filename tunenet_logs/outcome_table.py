@@ -14,7 +14,7 @@ from tunenet_logs.errors import LogError
 from tunenet_logs.formats.tables.lines import SEPARATORS, cells_of, lines_of
 from tunenet_logs.formats.tables.numbers import Numbers
 from tunenet_logs.outcome import BOUNCE_SHOT, Outcome
-from tunenet_logs.text import listed, short_name
+from tunenet_logs.terminal import listed, short_name
 
 _NAMES = {
     "task": ("task",),
@@ -31,6 +31,7 @@ _NAMES = {
     "note": ("note", "notes", "comment"),
 }
 """The columns of a table, by what they become; any case."""
+
 _NEEDED = ("ball", "success")
 """Columns without which a table holds no outcomes."""
 
@@ -96,12 +97,12 @@ class _Columns:
 def _columns(line: str) -> _Columns:
     """What a header names, by the separator by which it names most."""
     read = [_named(line, separator) for separator in SEPARATORS if separator]
-    return max(read, key=lambda one: len(one.indices))
+    return max(read, key=lambda columns: len(columns.indices))
 
 
 def _named(line: str, separator: str) -> _Columns:
-    names = tuple(one.strip() for one in cells_of(line, separator))
-    lowered = [one.lower().replace(" ", "_") for one in names]
+    names = tuple(name.strip() for name in cells_of(line, separator))
+    lowered = [name.lower().replace(" ", "_") for name in names]
     indices = {
         field: lowered.index(name)
         for field, known in _NAMES.items()
@@ -115,7 +116,7 @@ def _checked(path: Path, header: str) -> _Columns:
     columns = _columns(header)
     for name in _NEEDED:
         if name not in columns.indices:
-            there = listed(short_name(one) for one in columns.names)
+            there = listed(map(short_name, columns.names))
             raise LogError(
                 f"{path}: has no column {name!r} (there are: {there}); name the columns in the "
                 f"first line: {','.join(_NAMES)}".replace("stamp_ns", "time")
@@ -133,7 +134,7 @@ class _Table:
         self._counts: Counter[tuple[str, str]] = Counter()
 
     def outcome(self, number: int, line: str) -> Outcome:
-        cells = [one.strip() for one in cells_of(line, self._columns.separator)]
+        cells = [cell.strip() for cell in cells_of(line, self._columns.separator)]
         if len(cells) > len(self._columns.names):
             raise LogError(
                 f"{self._path}: line {number} has {len(cells)} cells under "

@@ -99,7 +99,8 @@ def decode_pixels(data: bytes, encoding: str, size: tuple[int, int]) -> NDArray[
     width, height = size
     rows, across = form.rows(height), width * form.channels
     if len(data) != rows * across * form.sample_bytes or any(
-        one <= 0 or one % share for one, share in zip(size, form.color_block_px, strict=True)
+        length <= 0 or length % share
+        for length, share in zip(size, form.color_block_px, strict=True)
     ):
         raise LogError(f"{len(data)} bytes are no {encoding} picture of {width} x {height} px")
     if form.sample_bytes == 2:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from tunenet_logs.collect import JointRows, PictureStamps, PositionRows, with_joint_names
+from tunenet_logs.collect import JointRows, PictureStamps, PositionRows
 from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame, Signal
 from tunenet_logs.errors import LogError
 from tunenet_logs.formats import registry
@@ -46,7 +46,7 @@ _MOST_PIXELS_A_BYTE = 20_000
 """Of a whole log; ten times what one picture may have, as a video repeats nothing that rests."""
 
 _MOST_LOSSES = 5
-"""Places of damage that are named one by one among the warnings."""
+"""Places of damage that are named one by one among the warnings; the rest is counted."""
 
 _LAST_NS = 2**63 - 1
 """The last stamp that fits int64: in the year 2262."""
@@ -100,53 +100,49 @@ def _episode(
     topics: Sequence[_TopicContents],
 ) -> Episode:
     """All that a log has delivered."""
-    left_out = [topic.left_out() for topic in topics]
-    damaged = [text for text, _ in left_out if text]
-    refused = [text for _, text in left_out if text]
-    signals, seconds, notes = _signals(topics)
+    joint_names = tuple(filter(None, info.notes.get("joint_names", "").split(",")))
+    damaged: list[str] = []
+    refused: list[str] = []
+    notes: list[str] = []
+    doubts: list[str] = []
+    signals: dict[str, Signal] = {}
+    seconds: set[_TopicContents] = set()  # whose names were taken already
     by_log: set[str] = set()  # topics of pictures whose header stamps do not tell the time
     for topic in topics:
-        if isinstance(topic.rows, PictureStamps):
-            is_header, reasons = topic.rows.trusts_header()
-            notes += reasons
+        name, rows = topic.channel.topic, topic.rows
+        if topic.damaged:
+            damaged.append(f"{name}: {topic.damaged} damaged messages were left out{topic.first}")
+        if topic.refused and topic.used:  # where none is used, the channel's summary says why
+            refused.append(f"{name}: {topic.refused} messages were left out{topic.first}")
+        if isinstance(rows, PictureStamps):
+            is_header, reasons = rows.trusts_header()
+            doubts += reasons
             if not is_header:
-                by_log.add(topic.channel.topic)
+                by_log.add(name)
+        elif rows is not None:
+            is_joints = isinstance(rows, JointRows)
+            found, repairs = rows.signals(joint_names) if is_joints else rows.signals()
+            if any(signal.name in signals for signal in found):
+                seconds.add(topic)
+                notes.append(f"{name}: a second channel of that name was left out")
+                continue
+            notes += repairs
+            signals |= {signal.name: signal for signal in found}
     lost = [loss for loss in losses if not loss.harmless]
     words = [str(loss) for loss in losses if loss.harmless]
     words += [str(loss) for loss in lost[:_MOST_LOSSES]]
     if rest := lost[_MOST_LOSSES:]:
         size = sum(loss.size for loss in rest)
         words.append(f"{len(rest)} more places are damaged ({size} bytes); see tunenet-logs check")
-    joints = tuple(filter(None, info.notes.get("joint_names", "").split(",")))
     return Episode(
         info=info,
-        signals={name: with_joint_names(signal, joints) for name, signal in signals.items()},
+        signals=signals,
         channels=tuple(topic.summary(is_second=topic in seconds) for topic in topics),
-        warnings=(*words, *damaged, *refused, *notes),
+        warnings=(*words, *damaged, *refused, *notes, *doubts),
         losses=(*map(str, lost), *damaged),
         tainted=next((str(loss) for loss in losses if loss.taints), ""),
         open_frames=partial(_frames, path, container, by_log),
     )
-
-
-def _signals(
-    topics: Sequence[_TopicContents],
-) -> tuple[dict[str, Signal], set[_TopicContents], list[str]]:
-    """The signals by name, the topics whose names were taken already, and what is of note."""
-    signals: dict[str, Signal] = {}
-    seconds: set[_TopicContents] = set()
-    notes: list[str] = []
-    for topic in topics:
-        if not isinstance(topic.rows, PositionRows | JointRows):
-            continue
-        found, repairs = topic.rows.signals()
-        if any(signal.name in signals for signal in found):
-            seconds.add(topic)
-            notes.append(f"{topic.channel.topic}: a second channel of that name was left out")
-            continue
-        notes += repairs
-        signals |= {signal.name: signal for signal in found}
-    return signals, seconds, notes
 
 
 class _TopicContents:
@@ -156,6 +152,7 @@ class _TopicContents:
         rows: what they hold, as far as it was read; None where the type or encoding is not.
         damaged: messages that cannot be read.
         refused: those that may be whole, but of a kind or size that is not read.
+        used: those that were read.
     """
 
     def __init__(self, channel: RawChannel) -> None:
@@ -166,7 +163,7 @@ class _TopicContents:
         self._log_ns = array("q")
         self._unusable: str | None = None
         self._why = ""  # the first message that was left out was
-        self._used = 0
+        self.used = 0
         self._type = message_type_of(channel)
         self._decode: Decode | None = None
         try:
@@ -196,7 +193,7 @@ class _TopicContents:
             return
         try:
             self._add(log_ns, self._read(self._decode(data)))
-            self._used += 1
+            self.used += 1
         except (UnusableError, BeyondLimitError) as reason:
             self.refused += 1
             self._why = self._why or str(reason)
@@ -205,21 +202,9 @@ class _TopicContents:
             self._why = self._why or described(error)
 
     @property
-    def _first(self) -> str:
+    def first(self) -> str:
+        """Why the first message was left out, in parentheses; "" where none was."""
         return f" (the first: {self._why})" if self._why else ""
-
-    def left_out(self) -> tuple[str, str]:
-        """In words: what is damaged, and what is not read though it may be whole; or "".
-
-        The second is said here only where the rest is read, else by `summary`.
-        """
-        damaged = refused = ""
-        if self.damaged:
-            damaged = f"{self.channel.topic}: {self.damaged} damaged messages were left out"
-            damaged += self._first
-        if self.refused and self._used:
-            refused = f"{self.channel.topic}: {self.refused} messages were left out{self._first}"
-        return damaged, refused
 
     def summary(self, *, is_second: bool) -> Channel:
         """The channel.
@@ -230,13 +215,11 @@ class _TopicContents:
         skipped = self._unusable
         if skipped is None and is_second:
             skipped = "another channel of that name is used"
-        elif skipped is None and not self._used:
+        elif skipped is None and not self.used:
             if not self._log_ns and not self.damaged:
                 skipped = "it holds no message"
             else:
-                skipped = (
-                    self._why if self.refused else f"all its messages are damaged{self._first}"
-                )
+                skipped = self._why if self.refused else f"all its messages are damaged{self.first}"
         return Channel(
             topic=self.channel.topic,
             type_name=self.channel.type_name,

@@ -138,7 +138,7 @@ class _Copy:
                     record.create_ns, record.log_ns, record.name, record.media_type, record.data
                 )
         self._start("")
-        lost = [str(one) for one in losses if not one.harmless]
+        lost = [str(loss) for loss in losses if not loss.harmless]
         if self._beyond:
             lost.append(f"{self._beyond} messages with impossible stamps were left out")
         self._say(lost)

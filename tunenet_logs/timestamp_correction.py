@@ -24,7 +24,7 @@ _PAUSE_PERIODS = 1.5
 """A longer step is a pause: half-way between the usual step and that over one missing sample."""
 
 _CLOSE_PERIODS = 0.9
-"""A shorter step belongs to a burst that catches up."""
+"""A shorter step belongs to a burst that catches up; an even clock's own jitter is smaller."""
 
 _PUNCTUAL_PERIODS = 0.3
 """A sample is no later than that where the burst has made up for the pause."""

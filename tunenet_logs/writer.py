@@ -90,7 +90,7 @@ class EpisodeWriter:
             raise not_writable(path, error) from error
 
     def write_pose(self, topic: str, stamp_ns: int, position_m: NDArray[np.float64]) -> None:
-        """Write a PoseStamped in frame "world" [m]."""
+        """Write a PoseStamped in frame "world" at `position_m`, shape (3,) [m]."""
         data = messages.encode(messages.pose(stamp_ns, "world", position_m), messages.POSE)
         self.write_message(topic, messages.POSE, stamp_ns, data)
 
@@ -108,7 +108,7 @@ class EpisodeWriter:
         velocity_rad_s: ArrayLike = (),
         effort_nm: ArrayLike = (),
     ) -> None:
-        """Write a JointState [rad, rad/s, N·m]; a quantity that is not known is empty."""
+        """Write a JointState, each quantity of shape (joints,) [rad, rad/s, N·m] or empty."""
         state = messages.joint_state(stamp_ns, names, position_rad, velocity_rad_s, effort_nm)
         data = messages.encode(state, messages.JOINT_STATE)
         self.write_message(topic, messages.JOINT_STATE, stamp_ns, data)

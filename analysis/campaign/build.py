@@ -13,7 +13,7 @@ from analysis.campaign.tuned_drop import TunedDrop, drop_of
 from analysis.processes import Piece, parallel_map
 from tunenet_logs.errors import UsageError
 from tunenet_logs.outcome_reading import Warn
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 _AROUND_S = 0.3
 """Of pictures before and after the curves, so that what led to them and what followed is seen."""

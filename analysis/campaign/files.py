@@ -11,7 +11,7 @@ from analysis.campaign.tuned_drop import TunedDrop, read_tuned_drop
 from tunenet_logs.errors import LogError, UsageError
 from tunenet_logs.outcome import Outcome
 from tunenet_logs.outcome_reading import Warn, holds_outcomes, numbered, read_outcomes
-from tunenet_logs.text import listed
+from tunenet_logs.terminal import listed
 
 _LOGS = frozenset((".mcap", ".bag", ".db3", ".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v"))
 """Suffixes of what is taken for a recording of a drop wherever it is found."""

@@ -7,7 +7,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from recorders.simulators.balls import BALLS, Ball, ball_named, contradict
+from recorders.simulators.balls import BALLS, UNKNOWN_BALL, Ball, ball_named, contradict
 from tunenet_logs.commandline import number, whole
 from tunenet_logs.errors import UsageError
 
@@ -59,8 +59,10 @@ def known_ball(arguments: argparse.Namespace) -> Ball:
     Raises:
         UsageError: no such ball, one that cannot be, or options that contradict each other.
     """
-    ball = Ball() if arguments.ball is None else ball_named(arguments.ball)
     diameter_m, mass_kg = arguments.ball_diameter, arguments.ball_mass
+    if arguments.ball is None and diameter_m is None and mass_kg is None:
+        return UNKNOWN_BALL
+    ball = UNKNOWN_BALL if arguments.ball is None else ball_named(arguments.ball)
     if contradict(Ball(diameter_m, mass_kg), ball):
         print(
             f"tunenet-tune: the ball {arguments.ball} has {ball.words}; what was measured is used",

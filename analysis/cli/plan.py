@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from tunenet_logs.commandline import Parser, number, run, whole
 from tunenet_logs.errors import UsageError
-from tunenet_logs.text import one_line
+from tunenet_logs.terminal import one_line
 
 if TYPE_CHECKING:
     from analysis.planning.known_ball import KnownBall

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from analysis.cli.options import jobs_option
 from tunenet_logs.commandline import Parser, run
 from tunenet_logs.errors import UsageError
-from tunenet_logs.text import one_line, short_name
+from tunenet_logs.terminal import Progress, one_line, short_name
 
 if TYPE_CHECKING:
     from analysis.campaign.rates import Rate
@@ -58,7 +58,6 @@ def _review(arguments: Any) -> int:
     from analysis.campaign.rates import ball_rates, overall_rates, restitutions_by_ball
     from analysis.result_files import check_writable
     from analysis.review.campaign import write_campaign
-    from tunenet_logs.progress import Progress
 
     check_writable(output, "-o")
     campaign = campaign_of(arguments.places, arguments.jobs, Progress(quiet=arguments.quiet), _warn)

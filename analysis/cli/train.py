@@ -12,7 +12,7 @@ from analysis.cli.options import jobs_option, preset_option
 from analysis.registry import EXPERIMENTS, experiment_named
 from tunenet_logs.commandline import Parser, run, whole
 from tunenet_logs.errors import UsageError, WeightsError
-from tunenet_logs.text import one_line
+from tunenet_logs.terminal import Progress, one_line
 
 _DESCRIPTION = """\
 Simulate pairs of episodes on all cores, train the network on them, and write its
@@ -85,7 +85,6 @@ def _train(arguments: argparse.Namespace) -> int:
 
     from analysis.tunenet.checkpoint import save_model
     from analysis.tunenet.training import one_step_error, train
-    from tunenet_logs.progress import Progress
 
     presets = experiment_named(arguments.task).presets
     if arguments.preset not in presets:

@@ -21,11 +21,10 @@ from analysis.cli.options import (
 from analysis.registry import METHODS, kinds
 from tunenet_logs.commandline import Parser, number, run, whole
 from tunenet_logs.errors import NotFoundError, UsageError
-from tunenet_logs.text import listed, one_line
+from tunenet_logs.terminal import Progress, listed, one_line
 
 if TYPE_CHECKING:
     from analysis.selection import Selection
-    from tunenet_logs.progress import Progress
 
 _DESCRIPTION = """\
 Find the physical parameters that make a simulator move as a log shows: for a
@@ -177,7 +176,6 @@ def _tune(arguments: argparse.Namespace) -> int:
     from analysis.batch import tune_all
     from analysis.report import table
     from analysis.selection import Hints, Options, Selection
-    from tunenet_logs.progress import Progress
 
     if None not in (arguments.start, arguments.end) and arguments.start >= arguments.end:
         raise UsageError(f"--start {arguments.start:g} is not before --end {arguments.end:g}")

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.drop.free_fall import Drop
-from analysis.model_averaging import TWO_SIDED, ModelEstimate, average, correlation_time
+from analysis.statistics import TWO_SIDED, ModelEstimate, average, correlation_time
 from recorders.simulators.closed_form.bounce import Bounce
 from tunenet_logs.arrays import Array
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from recorders.simulators.balls import Ball
 from recorders.simulators.contact import CALIBRATED, PAPER, ContactSettings
 from recorders.simulators.drop import DropRig, DropSimulator
 from tunenet_logs.arrays import Array
-from tunenet_logs.episode import Episode
 from tunenet_logs.errors import NotFoundError, UsageError
 
 HIGHEST_M = 100.0
@@ -63,13 +62,14 @@ class DropDetection:
 
     @property
     def window(self) -> Mapping[str, float]:
-        """See `window_of`."""
-        return window_of(self.drop)
+        """Its first sample, first impact and last sample [s]."""
+        first_s, last_s = self.drop.seconds[[0, -1]]
+        return {"start_s": first_s, "impact_s": self.drop.impact_s, "end_s": last_s}
 
     @property
     def extent(self) -> tuple[str, str]:
-        """See `extent_of`."""
-        return extent_of(self.drop)
+        """How high the ball fell from."""
+        return "drop", f"{self.drop.drop_height_m:.3f} m"
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,13 +116,14 @@ class FilmDetection:
 
     @property
     def window(self) -> Mapping[str, float]:
-        """See `window_of`."""
-        return window_of(self.drop)
+        """Its first sample, first impact and last sample [s]."""
+        first_s, last_s = self.drop.seconds[[0, -1]]
+        return {"start_s": first_s, "impact_s": self.drop.impact_s, "end_s": last_s}
 
     @property
     def extent(self) -> tuple[str, str]:
-        """See `extent_of`."""
-        return extent_of(self.drop)
+        """How high the ball fell from."""
+        return "drop", f"{self.drop.drop_height_m:.3f} m"
 
     @property
     def sideways_m(self) -> Array:
@@ -182,16 +183,6 @@ class FilmDetection:
 AnyDetection = DropDetection | FilmDetection
 
 
-def window_of(drop: Drop) -> Mapping[str, float]:
-    """A drop's first sample, first impact and last sample [s]."""
-    return {"start_s": drop.seconds[0], "impact_s": drop.impact_s, "end_s": drop.seconds[-1]}
-
-
-def extent_of(drop: Drop) -> tuple[str, str]:
-    """How high the ball fell from, in words."""
-    return "drop", f"{drop.drop_height_m:.3f} m"
-
-
 def drop_problem(
     detection: AnyDetection,
     initial: Array,
@@ -214,8 +205,13 @@ def drop_problem(
     if contact == PAPER:
         view = views.paper_rollout if detection.film is None else views.paper_unit_heights
         return Problem(detection.target, simulator, view, initial)
-    observe = partial(_observe_rollout, rig=rig, contact=contact)
-    return Problem(detection.target, simulator, observe, initial, exact_fit)
+    return Problem(
+        detection.target,
+        simulator,
+        lambda episode: views.canonical(views.rollout_drop(episode, rig, contact)),
+        initial,
+        exact_fit,
+    )
 
 
 def rig_like(detection: AnyDetection) -> tuple[DropRig, ContactSettings]:
@@ -240,7 +236,3 @@ def rig_like(detection: AnyDetection) -> tuple[DropRig, ContactSettings]:
         start_ns=start_ns + round(1e9 * first_s),
     )
     return rig, CALIBRATED
-
-
-def _observe_rollout(episode: Episode, rig: DropRig, contact: ContactSettings) -> Observation:
-    return views.canonical(views.rollout_drop(episode, rig, contact))

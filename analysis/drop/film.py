@@ -6,17 +6,28 @@ one for the heights to be true; the restitution does not depend on it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.drop.film_fit import DRAGGED, SLOPED, FilmFit, TrackSamples
-from analysis.drop.film_search import FEWEST_SAMPLES, deep_falls_s, find_fits, preferred_fit
-from analysis.drop.free_fall import Drop, noise_of
+from analysis.drop.film_search import (
+    FEWEST_SAMPLES,
+    Balls,
+    FilmFits,
+    best_of,
+    film_impacts,
+    fits_from,
+    is_good,
+    misfit,
+)
+from analysis.drop.free_fall import Drop
 from analysis.drop.observations import canonical_axis, paper_axis
 from analysis.drop.projection import Projection
 from analysis.estimators.base import Observation, resample
+from analysis.statistics import noise_of
 from analysis.tracking.track import Track
 from recorders.simulators.balls import Ball
 from recorders.simulators.contact import CALIBRATED
@@ -38,6 +49,18 @@ _STRAIGHT = 0.0015
 
 _EARLIER, _LATER = 1.1, 0.8
 """Fractions of the drop's fall from which another fall before it, or after it, is reported."""
+
+_MOST_CANDIDATES = 6
+"""Impacts that may be the first of a drop: what moves before it is a hand's."""
+
+_CLEARLY = 3.0
+"""Log likelihood that another ball than the ideal one has to gain: 20 to 1."""
+
+_NO_DROP, _ENDLESS = 0.05, 0.995
+"""Rms residual, as a fraction of the fall, and restitution: what has more is no drop."""
+
+_LEAST_SEEN, _MOST_LOG_SIZE = 0.3, 1.2
+"""Of a drop: fall times seen after the impact, and logarithm of its height over the track's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,8 +133,8 @@ def find_filmed_drop(
         exposure_s=min(track.exposure_s, float(np.median(np.diff(seconds)))),
     )
     balls = (DRAGGED,) if fit_drag else (SLOPED,) if drag_1_m else (SLOPED, DRAGGED)
-    fits, flights = find_fits(whole, balls)
-    best = preferred_fit(fits)
+    fits, flights = _find_fits(whole, balls)
+    best = _preferred_fit(fits)
     projection = best.projection()
     before_s = projection.impact_s - projection.fall_time_s / 4
     before = whole.part(0, int(np.searchsorted(seconds, before_s)))
@@ -130,8 +153,8 @@ def find_filmed_drop(
         used=used,
         sideways=(across - np.median(across)) / projection.span_px,
         drop=_drop(seconds[begin:last], along[begin:last], projection, whole.noise_px, begin),
-        left_out=len(deep_falls_s(before, _EARLIER * projection.span_px)),
-        later_s=tuple(deep_falls_s(later, _LATER * projection.span_px)),
+        left_out=len(_deep_falls_s(before, _EARLIER * projection.span_px)),
+        later_s=tuple(_deep_falls_s(later, _LATER * projection.span_px)),
         flights=flights,
     )
 
@@ -210,4 +233,78 @@ def _drop(seconds: Array, along: Array, fit: Projection, noise_px: float, first:
         noise_m=noise_px / fit.span_px * height_m,
         rest_m=0.0 if len(lying) > 5 else float("nan"),
         rest_tolerance_m=height_m,
+    )
+
+
+def _find_fits(whole: TrackSamples, balls: Balls) -> FilmFits:
+    """The fits from the first impact that may be the first one.
+
+    Raises:
+        NotFoundError: from none of them on the track is a drop's.
+    """
+    impacts = film_impacts(whole.seconds, whole.positions_px, whole.noise_px)
+    span = float(np.ptp(whole.positions_px))
+    fitted = False
+    plausible: list[FilmFits] = []
+    for at in range(min(len(impacts), _MOST_CANDIDATES)):
+        fits = fits_from(whole, impacts[at:], balls)
+        if not fits.balls:
+            continue
+        fitted = True
+        best = best_of(fits.balls)
+        view = best.projection()
+        seen = view.fall_times(best.samples.seconds[-1:])[0] > _LEAST_SEEN
+        size = abs(np.log(view.span_px / span)) < _MOST_LOG_SIZE
+        bounces = view.residual_rms_px / view.span_px < _NO_DROP
+        if seen and size and bounces and view.bounce.restitution <= _ENDLESS:
+            plausible.append(fits)
+            if is_good(fits.balls):
+                break
+    if not plausible:
+        raise NotFoundError(_why_not(whole, impacts, fitted))
+    return min(plausible, key=lambda fits: 0.0 if is_good(fits.balls) else misfit(fits.balls))
+
+
+def _preferred_fit(fits: Sequence[FilmFit]) -> FilmFit:
+    """The ideal ball's fit, the first one, unless another explains clearly more."""
+    ideal, best = fits[0], best_of(fits)
+    scale = min(fit.scale_px for fit in fits)
+    gained = (ideal.cost(scale) - best.cost(scale)) / best.effective_sample_factor
+    return best if gained > _CLEARLY else ideal
+
+
+def _deep_falls_s(samples: TrackSamples, least_px: float) -> list[float]:
+    """When falls of at least `least_px` end in an impact [s]."""
+    seconds, positions = samples.seconds, samples.positions_px
+    if len(seconds) < FEWEST_SAMPLES:
+        return []
+    impacts = film_impacts(seconds, positions, samples.noise_px)
+    begins = [0, *impacts]
+    return [
+        float(seconds[at])
+        for begin, at in zip(begins, impacts, strict=False)
+        if positions[begin : at + 1].max() - positions[at] > least_px
+    ]
+
+
+def _why_not(whole: TrackSamples, impacts: list[int], fitted: bool) -> str:
+    if not impacts:
+        return (
+            "no bounce is seen: the ball never falls onto anything in view; at the next drop: "
+            "keep the table in view"
+        )
+    after = len(whole.seconds) - impacts[-1]
+    if len(impacts) == 1 and after < FEWEST_SAMPLES:
+        return (
+            f"the recording, or what is seen of the ball, ends {after} pictures after the impact; "
+            "at the next drop: record until the ball lies still, all in view"
+        )
+    if not fitted:
+        return (
+            "no free fall is seen before an impact (carried, caught, or too few pictures); at the "
+            "next drop: let go above the table, in view, and record until the ball lies still"
+        )
+    return (
+        "what the ball does is no drop: it does not bounce along parabolas of one acceleration; at "
+        "the next drop: let it bounce on a flat table, untouched, the camera still"
     )

@@ -65,7 +65,7 @@ def film_checks(film: FilmedDrop) -> list[Check]:
     span = film.projection.span_px
     residual = film.projection.residual_rms_px / span
     worst = float(np.quantile(np.abs(film.best.residuals_px) / span, 0.98))
-    seen, repeated = _seen(film), _repeated(film)
+    seen, repeated = _seen_and_repeated(film)
     gain, moment_s = clock_test(film.best)
     return [
         Check(
@@ -203,26 +203,24 @@ def scale_checks(
     ]
 
 
-def _seen(film: FilmedDrop) -> float:
-    """Fraction of the pictures, from mid-fall for four fall times, in which the ball is found."""
-    fit = film.projection
+def _seen_and_repeated(film: FilmedDrop) -> tuple[float, float]:
+    """Two fractions of pictures: in which the ball is found, and in which it has not moved at all.
+
+    The first is of those from mid-fall for four fall times, the second of those with a moving ball.
+    """
+    fit, best, track = film.projection, film.best, film.track
     end_s = min(float(film.drop.seconds[-1]), fit.impact_s + _LOOKED_AT * fit.fall_time_s)
-    origin_s = film.drop.seconds[0] - film.track.stamps_ns[film.used][0] * 1e-9
-    seconds = film.track.stamps_ns * 1e-9 + origin_s
+    origin_s = film.drop.seconds[0] - track.stamps_ns[film.used][0] * 1e-9
+    seconds = track.stamps_ns * 1e-9 + origin_s
     wanted = (seconds > fit.impact_s - fit.fall_time_s / 2) & (seconds <= end_s)
-    return float(np.mean(film.track.found[wanted])) if wanted.any() else 0.0
-
-
-def _repeated(film: FilmedDrop) -> float:
-    """Fraction of the pictures with a moving ball in which it has not moved at all."""
-    fit, best = film.projection, film.best
+    seen = float(np.mean(track.found[wanted])) if wanted.any() else 0.0
     positions = best.samples.positions_px
     expected = np.abs(np.diff(positions + best.residuals_px))
-    whole = is_whole(film.track.places_px[film.used])  # then noise may hide a step
+    whole = is_whole(track.places_px[film.used])  # then noise may hide a step
     moving = expected > (max(_STEP_PX, _SDS * best.samples.noise_px) if whole else _STEP_PX)
     moving &= fit.fall_times(best.samples.seconds[1:]) > -1
     same = np.abs(np.diff(positions)) < _SAME_PX
-    return float(np.mean(same[moving])) if np.count_nonzero(moving) > 3 else 0.0
+    return seen, float(np.mean(same[moving])) if np.count_nonzero(moving) > 3 else 0.0
 
 
 def clock_test(fit: FilmFit) -> tuple[float, float]:

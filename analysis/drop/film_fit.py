@@ -46,6 +46,18 @@ _FARTHEST = 1.5
 _LEAST_DAMPING, _MOST_TRIES = 1e-9, 6
 """Of Levenberg and Marquardt: damping below which a step is Gauss-Newton's, and dampings a step."""
 
+_RESTITUTIONS = np.linspace(0.02, 0.995, 40)
+_STRETCHES = np.exp(np.linspace(np.log(0.92), np.log(3.2), 22))
+_PERSPECTIVES = np.array([-0.8, -0.25, 0.3, 0.9])
+"""The grid of a fit's starts: its cost has dozens of local minima. Fall times in durations of the
+part of the fall that is seen; perspectives within about one standard deviation of their prior."""
+
+_MOST_SAMPLES = 96
+"""Of a track that the 3520 points of the grid are compared with: more cost more than they gain."""
+
+_COMPARED = 5.0
+"""Fall durations after the impact that are looked at."""
+
 
 @dataclass(frozen=True, eq=False)
 class TrackSamples:
@@ -143,8 +155,16 @@ class FilmFit:
         return float(np.quantile(np.abs(self.residuals_px), 0.9)) / 1.645
 
     def cost(self, scale_px: float) -> float:
-        """Minus the log posterior density, but for what all fits to the samples have in common."""
-        return _cost(self.residuals_px, self.unknowns, scale_px, self.free)
+        """Minus the log posterior density: Student's t and normal priors, without constants.
+
+        Args:
+            scale_px: standard deviation of a position.
+        """
+        squares = (self.residuals_px / scale_px) ** 2
+        robust = 0.5 * (_FREEDOM + 1) * np.log1p(squares / _FREEDOM).sum()
+        free_priors = [(index, sd) for index, sd in PRIORS_SD.items() if index in self.free]
+        prior = sum((self.unknowns[index] / sd) ** 2 for index, sd in free_priors)
+        return float(robust + len(self.residuals_px) * np.log(scale_px) + 0.5 * prior)
 
     def projection(self) -> Projection:
         """The unknowns by their names."""
@@ -187,48 +207,44 @@ def fit_film(
     unknowns = np.clip(start, low, high)
     residuals = samples.residuals_px(unknowns)
     scale = scale_px or _scale(residuals, samples.noise_px)
-    cost = _cost(residuals, unknowns, scale, free)
-    damping = 1e-3
+    fit = FilmFit(samples, unknowns, free, residuals, scale)
+    cost, damping = fit.cost(scale), 1e-3
     for _ in range(most):
-        normal, gradient = _normal_equations(samples, unknowns, residuals, scale, free)
+        normal, gradient = _normal_equations(fit)
         before = cost
         for _ in range(_MOST_TRIES):
-            tried = unknowns.copy()
+            unknowns = fit.unknowns.copy()
             damped = normal + damping * np.diag(np.diag(normal) + 1e-12)
-            tried[list(free)] += np.linalg.lstsq(damped, gradient, rcond=None)[0]
-            tried = np.clip(tried, low, high)
-            tried_residuals = samples.residuals_px(tried)
-            tried_cost = _cost(tried_residuals, tried, scale, free)
+            unknowns[list(free)] += np.linalg.lstsq(damped, gradient, rcond=None)[0]
+            unknowns = np.clip(unknowns, low, high)
+            tried = FilmFit(samples, unknowns, free, samples.residuals_px(unknowns), scale)
+            tried_cost = tried.cost(scale)
             if tried_cost < cost:
-                unknowns, residuals, cost = tried, tried_residuals, tried_cost
+                fit, cost = tried, tried_cost
                 damping = max(damping / 10, _LEAST_DAMPING)
                 break
             damping *= 10
         gained = before - cost
-        new = scale_px or _scale(residuals, samples.noise_px)
-        settled = gained < gain * len(residuals) and abs(new / scale - 1) < 0.01
-        scale, cost = new, _cost(residuals, unknowns, new, free)
+        new = scale_px or _scale(fit.residuals_px, samples.noise_px)
+        settled = gained < gain * len(samples.seconds) and abs(new / scale - 1) < 0.01
+        scale, fit = new, replace(fit, scale_px=new)
+        cost = fit.cost(scale)
         if settled:
             break
-    return FilmFit(samples, unknowns, free, residuals, scale)
+    return fit
 
 
-def _normal_equations(
-    samples: TrackSamples,
-    unknowns: Array,
-    residuals: Array,
-    scale: float,
-    free: tuple[int, ...],
-) -> tuple[Array, Array]:
+def _normal_equations(fit: FilmFit) -> tuple[Array, Array]:
     """Of the reweighted samples and the priors: the matrix, and minus the cost's gradient."""
-    jacobian = samples.jacobian(unknowns, free)
+    jacobian = fit.samples.jacobian(fit.unknowns, fit.free)
+    residuals, scale = fit.residuals_px, fit.scale_px
     weights = (_FREEDOM + 1) / (_FREEDOM + (residuals / scale) ** 2) / scale**2
     normal = jacobian.T @ (weights[:, None] * jacobian)
     gradient = -jacobian.T @ (weights * residuals)
-    for at, index in enumerate(free):
+    for at, index in enumerate(fit.free):
         if index in PRIORS_SD:
             normal[at, at] += PRIORS_SD[index] ** -2
-            gradient[at] -= unknowns[index] * PRIORS_SD[index] ** -2
+            gradient[at] -= fit.unknowns[index] * PRIORS_SD[index] ** -2
     return normal, gradient
 
 
@@ -237,8 +253,51 @@ def _scale(residuals: Array, noise_px: float) -> float:
     return max(noise_px, 1.4826 * float(np.median(np.abs(residuals))))
 
 
-def _cost(residuals: Array, unknowns: Array, scale: float, free: tuple[int, ...]) -> float:
-    """Minus the log posterior density: Student's t and normal priors."""
-    robust = 0.5 * (_FREEDOM + 1) * np.log1p((residuals / scale) ** 2 / _FREEDOM).sum()
-    prior = sum((unknowns[index] / sd) ** 2 for index, sd in PRIORS_SD.items() if index in free)
-    return float(robust + len(residuals) * np.log(scale) + 0.5 * prior)
+def grid_starts(seconds: Array, along_px: Array, impact_s: float, count: int) -> list[Array]:
+    """The best points of a grid over the ideal ball, the fall time and the perspective.
+
+    No two of them are neighbours. The contact's position and the span of the fall are in closed
+    form for each point.
+
+    Args:
+        seconds: shape (T,): the fall, the bounces, nothing before or after.
+        along_px: positions along the image's vertical, up positive, shape (T,).
+        impact_s: the first impact, to half a sample.
+        count: how many are wanted.
+
+    Returns:
+        The unknowns of a `FilmFit`, shape (8,) each, best first.
+    """
+    seen_s = impact_s - float(seconds[0])
+    near = seconds < impact_s + _COMPARED * seen_s
+    every = max(1, -(-int(near.sum()) // _MOST_SAMPLES))
+    clock, positions = seconds[near][::every] - impact_s, along_px[near][::every]
+    falls = seen_s * _STRETCHES
+    times, kept = clock / falls[:, None], _RESTITUTIONS[:, None, None]
+    after = np.clip(times, 0.0, None)
+    bouncing = 1 - after * (1 - kept) / (2 * kept)  # e^n when flight n begins
+    speeds = kept ** np.floor(np.log(np.maximum(bouncing, 1e-12)) / np.log(kept))
+    since = after - 2 * kept * (1 - speeds) / (1 - kept)
+    flying = np.clip(since * (2 * kept * speeds - since), 0.0, None)
+    falling = 1 - np.clip(times + 1, 0.0, None) ** 2
+    heights = np.where(times < 0, falling, np.where(bouncing > 0, flying, 0.0))
+    shapes = projected(heights, _PERSPECTIVES[:, None, None, None])
+    middle = shapes.mean(axis=-1, keepdims=True)
+    off, about = shapes - middle, positions - positions.mean()
+    spread = (off**2).sum(axis=-1)
+    spans = (off @ about) / np.maximum(spread, 1e-12)
+    squares = float(about @ about) - spans**2 * spread
+    squares = np.where(spans > 0, squares, np.inf) + 1e-9
+    starts: list[Array] = []
+    taken = np.zeros(squares.shape, dtype=bool)
+    while len(starts) < count and not taken.all():
+        at = np.unravel_index(np.where(taken, np.inf, squares).argmin(), squares.shape)
+        if not np.isfinite(squares[at]):
+            break
+        view, ball, fall = (int(index) for index in at)
+        span = float(spans[at])
+        contact = float(positions.mean() - span * middle[view, ball, fall, 0])
+        law = [_RESTITUTIONS[ball], impact_s, np.log(falls[fall])]
+        starts.append(np.array([*law, contact, span, _PERSPECTIVES[view], 0.0, 0.0]))
+        taken[:, max(0, ball - 1) : ball + 2, max(0, fall - 2) : fall + 3] = True
+    return starts

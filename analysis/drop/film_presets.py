@@ -27,7 +27,7 @@ from recorders.simulators.pinhole import PinholeCamera, random_camera
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import NotFoundError
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 PAPER_SIZE_PX = (100, 100)
 _PAPER_FOV_DEG = 60.0

@@ -1,4 +1,4 @@
-"""The search for a drop in a track: from each impact that may be the first, balls are fitted."""
+"""Balls fitted to a track from an impact on: which of its samples count, and for what flights."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from analysis.drop.film_fit import (
     FilmFit,
     TrackSamples,
     fit_film,
+    grid_starts,
 )
-from analysis.drop.film_start import bounces_end, fall_start, film_impacts, grid_starts
+from analysis.drop.free_fall import run_slopes, slope_corners
 from tunenet_logs.arrays import Array
-from tunenet_logs.errors import NotFoundError
 
 Balls = Sequence[tuple[int, ...]]
 """Free unknowns of each kind of ball that is fitted."""
@@ -31,11 +31,8 @@ Balls = Sequence[tuple[int, ...]]
 FEWEST_SAMPLES = 12
 """For six unknowns and a noise."""
 
-_MOST_IMPACTS = 6
+MOST_IMPACTS = 6
 """Of a fit: a later bounce is too low to say more, and one law holds less well for it."""
-
-_MOST_CANDIDATES = 6
-"""Impacts that may be the first of a drop: what moves before it is a hand's."""
 
 _FALL_FRACTIONS = (0.96, 0.8, 0.6)
 """Lower parts of a descent that are tried as its free fall, the largest first."""
@@ -57,14 +54,11 @@ _USUAL, _SLIGHT = {SLOPE: 0.08, DRAG: 0.05}, 0.2
 _SHAPE, _SAME = (RESTITUTION, FALL, PERSPECTIVE), np.array([0.01, 0.02, 0.05])
 """By how much starts differ that may lead to different ends."""
 
-_CLEARLY = 3.0
-"""Log likelihood that another ball than the ideal one has to gain: 20 to 1."""
-
 _LITTLE, _EXACT = 0.004, 0.001
 """Fractions of the fall: residuals beyond noise that pass, of all flights, and of the first."""
 
-_NO_DROP, _HOPELESS = 0.05, 0.12
-"""Fractions of the fall, rms: more is no drop, and more in a rough fit becomes none."""
+_HOPELESS = 0.12
+"""Fraction of the fall, rms: a rough fit with more becomes no drop's."""
 
 _STEEP = 0.25
 """A slope beyond those of real balls."""
@@ -72,8 +66,18 @@ _STEEP = 0.25
 _HELD, _AT_RELEASE = 1.5, 0.05
 """Fall times before the impact, from which on a ball is where it is let go, to that fraction."""
 
-_ENDLESS = 0.995
-"""A restitution that no ball has."""
+_SURE_SLOPE = 0.06
+"""Noise of a slope, as a fraction of the steepest, at which runs of samples are long enough."""
+
+_FAST, _SHARP = 0.25, 0.25
+"""An impact, as fractions: of the fastest fall, before it; of the sharpest corner, at it. They are
+higher than for recorded positions: a picture has perspective, and other things that move."""
+
+_LIFTED, _LYING = 1.15, 0.05
+"""Fractions of a fall: above the one the ball is lifted, below the other it lies."""
+
+_GAP_S = 1.0
+"""A longer time in which the ball is not found ends its bounces."""
 
 
 class FilmFits(NamedTuple):
@@ -94,39 +98,7 @@ def best_of(fits: Sequence[FilmFit]) -> FilmFit:
     return min(fits, key=lambda fit: fit.cost(scale))
 
 
-def preferred_fit(fits: Sequence[FilmFit]) -> FilmFit:
-    """The ideal ball's fit, the first one, unless another explains clearly more."""
-    ideal, best = fits[0], best_of(fits)
-    scale = min(fit.scale_px for fit in fits)
-    gained = (ideal.cost(scale) - best.cost(scale)) / best.effective_sample_factor
-    return best if gained > _CLEARLY else ideal
-
-
-def find_fits(whole: TrackSamples, balls: Balls) -> FilmFits:
-    """The fits from the first impact that may be the first one.
-
-    Raises:
-        NotFoundError: from none of them on the track is a drop's.
-    """
-    impacts = film_impacts(whole.seconds, whole.positions_px, whole.noise_px)
-    span = float(np.ptp(whole.positions_px))
-    fitted = False
-    plausible: list[FilmFits] = []
-    for at in range(min(len(impacts), _MOST_CANDIDATES)):
-        fits = _fits_from(whole, impacts[at:], balls)
-        if not fits.balls:
-            continue
-        fitted = True
-        if _plausible(best_of(fits.balls), span):
-            plausible.append(fits)
-            if _good(fits.balls):
-                break
-    if not plausible:
-        raise NotFoundError(_why_not(whole, impacts, fitted))
-    return min(plausible, key=lambda fits: 0.0 if _good(fits.balls) else _misfit(fits.balls))
-
-
-def _fits_from(whole: TrackSamples, impacts: Sequence[int], balls: Balls) -> FilmFits:
+def fits_from(whole: TrackSamples, impacts: Sequence[int], balls: Balls) -> FilmFits:
     """The fits if the first of these is the first impact; none where no fall is seen before."""
     index, last = impacts[0], bounces_end(whole.seconds, whole.positions_px, impacts)
     best: tuple[FilmFit, ...] = ()
@@ -137,10 +109,12 @@ def _fits_from(whole: TrackSamples, impacts: Sequence[int], balls: Balls) -> Fil
         rough = _rough_fits(whole.part(first, last), float(whole.seconds[index]))
         if not rough:
             continue
-        fits = _finished(whole, rough, balls) if _rms(rough[0]) < _HOPELESS else (rough[0],)
-        if not best or _misfit(fits) < 0.7 * _misfit(best):
+        view = rough[0].projection()
+        hopeful = view.residual_rms_px / view.span_px < _HOPELESS
+        fits = _finished(whole, rough, balls) if hopeful else (rough[0],)
+        if not best or misfit(fits) < 0.7 * misfit(best):
             best = fits
-        if _good(fits):
+        if is_good(fits):
             return FilmFits(fits)
     return _of_first_flights(whole, impacts, best, balls) if best else FilmFits(())
 
@@ -154,30 +128,16 @@ def _of_first_flights(
     """
     start_s, end_s = fits[0].samples.seconds[[0, -1]]
     first = int(np.searchsorted(whole.seconds, start_s))
-    for flights in range(min(len(impacts), _MOST_IMPACTS) - 1, 0, -1):
+    for flights in range(min(len(impacts), MOST_IMPACTS) - 1, 0, -1):
         end = impacts[flights]
         if whole.seconds[end] >= end_s or end - impacts[0] < _FEWEST:
             continue
         begun = whole.part(0, end)
         rough = _rough_fits(begun.part(first, end), float(whole.seconds[impacts[0]]))
         shorter = _finished(begun, rough, balls) if rough else ()
-        if shorter and _good(shorter, _EXACT) and _is_usual(whole, best_of(shorter)):
+        if shorter and is_good(shorter, _EXACT) and _is_usual(whole, best_of(shorter)):
             return FilmFits(shorter, flights)
     return FilmFits(fits)
-
-
-def deep_falls_s(samples: TrackSamples, least_px: float) -> list[float]:
-    """When falls of at least `least_px` end in an impact [s]."""
-    seconds, positions = samples.seconds, samples.positions_px
-    if len(seconds) < FEWEST_SAMPLES:
-        return []
-    impacts = film_impacts(seconds, positions, samples.noise_px)
-    begins = [0, *impacts]
-    return [
-        float(seconds[at])
-        for begin, at in zip(begins, impacts, strict=False)
-        if positions[begin : at + 1].max() - positions[at] > least_px
-    ]
 
 
 def _rough_fits(samples: TrackSamples, impact_s: float) -> list[FilmFit]:
@@ -236,8 +196,8 @@ def _counting(whole: TrackSamples, fit: FilmFit) -> TrackSamples:
     seconds = fit.samples.seconds
     last = float((seconds[-1] - impact_s) / fall_s)
     starts, speeds = whole.bounce(fit.unknowns).flights(last)
-    if len(starts) > _MOST_IMPACTS:
-        end = float(starts[_MOST_IMPACTS])
+    if len(starts) > MOST_IMPACTS:
+        end = float(starts[MOST_IMPACTS])
     else:
         end = float(starts[-1]) if speeds[-1] == 0 else np.inf
     first = int(np.searchsorted(whole.seconds, seconds[0]))
@@ -278,21 +238,16 @@ def _sharp(fit: FilmFit) -> TrackSamples:
     return replace(samples, seconds=samples.seconds[kept], positions_px=samples.positions_px[kept])
 
 
-def _misfit(fits: Sequence[FilmFit]) -> float:
+def misfit(fits: Sequence[FilmFit]) -> float:
     """Residuals of the best ball, as a fraction of the fall."""
     return min(fit.tail_sd_px / float(fit.unknowns[SPAN]) for fit in fits)
 
 
-def _rms(fit: FilmFit) -> float:
-    """Of the residuals, as a fraction of the fall."""
-    return float(np.sqrt(np.mean(fit.residuals_px**2)) / fit.unknowns[SPAN])
-
-
-def _good(fits: Sequence[FilmFit], little: float = _LITTLE) -> bool:
+def is_good(fits: Sequence[FilmFit], little: float = _LITTLE) -> bool:
     """Whether the residuals are noise, or little of the fall."""
     best = best_of(fits)
     noise = best.samples.noise_px / float(best.unknowns[SPAN])
-    return _misfit(fits) < 1.5 * noise + little
+    return misfit(fits) < 1.5 * noise + little
 
 
 def _is_usual(whole: TrackSamples, fit: FilmFit) -> bool:
@@ -306,33 +261,70 @@ def _is_usual(whole: TrackSamples, fit: FilmFit) -> bool:
     return abs(fit.unknowns[SLOPE]) < _STEEP and abs(off) < _AT_RELEASE * fit.unknowns[SPAN]
 
 
-def _plausible(fit: FilmFit, span_px: float) -> bool:
-    """Whether it can be a drop at all: what it sees of one, and how large."""
-    seconds = fit.samples.seconds[-1] - fit.unknowns[IMPACT]
-    after = float(seconds / np.exp(fit.unknowns[FALL]))
-    size = abs(np.log(fit.unknowns[SPAN] / span_px))
-    lasting = fit.unknowns[RESTITUTION] > _ENDLESS
-    return bool(after > 0.3 and size < 1.2 and _rms(fit) < _NO_DROP and not lasting)
+def film_impacts(seconds: Array, along_px: Array, noise_px: float) -> list[int]:
+    """Samples at which a fast fall ends, in order.
+
+    The slopes are taken over as many samples as the noise requires.
+
+    Args:
+        seconds: shape (T,).
+        along_px: positions along the image's vertical, up positive, shape (T,).
+        noise_px: standard deviation of a position.
+    """
+    period_s = float(np.median(np.diff(seconds)))
+    width = 2
+    while True:
+        if len(along_px) <= 2 * width + 1:
+            return []
+        slopes = run_slopes(seconds, along_px, width)
+        half = (width + 1) // 2
+        noise = noise_px * np.sqrt(2 / half) / ((width + 1 - half) * period_s)
+        if noise < -_SURE_SLOPE * slopes.min() or 8 * width > len(along_px):
+            break
+        width += max(1, width // 3)
+    return slope_corners(slopes, width, _FAST * min(slopes.min(), 0.0), _SHARP)
 
 
-def _why_not(whole: TrackSamples, impacts: list[int], fitted: bool) -> str:
-    if not impacts:
-        return (
-            "no bounce is seen: the ball never falls onto anything in view; at the next drop: "
-            "keep the table in view"
-        )
-    after = len(whole.seconds) - impacts[-1]
-    if len(impacts) == 1 and after < FEWEST_SAMPLES:
-        return (
-            f"the recording, or what is seen of the ball, ends {after} pictures after the impact; "
-            "at the next drop: record until the ball lies still, all in view"
-        )
-    if not fitted:
-        return (
-            "no free fall is seen before an impact (carried, caught, or too few pictures); at the "
-            "next drop: let go above the table, in view, and record until the ball lies still"
-        )
-    return (
-        "what the ball does is no drop: it does not bounce along parabolas of one acceleration; at "
-        "the next drop: let it bounce on a flat table, untouched, the camera still"
-    )
+def fall_start(along_px: Array, index: int, fraction: float, noise_px: float) -> int:
+    """The first sample of the fall to `index`, its slow upper part left out.
+
+    There a hand may still be.
+
+    Args:
+        along_px: positions, up positive, shape (T,).
+        index: of the impact.
+        fraction: of the fall that is kept, from below.
+        noise_px: standard deviation of a position.
+    """
+    low = float(along_px[max(index - 1, 0) : index + 2].min())
+    top, first = low, index
+    while first > 0 and along_px[first - 1] > top - 4 * noise_px - 0.03 * (top - low):
+        first -= 1
+        top = max(top, float(along_px[first]))
+    high = np.flatnonzero(along_px[first:index] > low + fraction * (top - low))
+    return first + (int(high[-1]) + 1 if len(high) else 0)
+
+
+def bounces_end(seconds: Array, along_px: Array, impacts: Sequence[int]) -> int:
+    """Where the bounces after the first of these impacts end: lifted, or long not found.
+
+    Args:
+        seconds: shape (T,).
+        along_px: positions, up positive, shape (T,).
+        impacts: as `film_impacts` finds them, from the first one on.
+    """
+    index = impacts[0]
+    low = float(along_px[max(index - 1, 0) : index + 2].min())
+    top = float(along_px[max(0, index - 200) : index].max())
+    last = len(along_px)
+    limits = [(index, low + _LIFTED * (top - low))]
+    if len(impacts) > 1 and impacts[1] > index + 2:  # no bounce is higher than the first
+        apex = float(along_px[index : impacts[1]].max())
+        limits.append((impacts[1], apex + (_LIFTED - 1) * (top - low)))
+    for begin, most in limits:
+        above = np.flatnonzero(along_px[begin:last] > most)
+        if len(above):
+            lying = np.flatnonzero(along_px[begin : begin + above[0]] < low + _LYING * (top - low))
+            last = begin + int(lying[-1] if len(lying) else above[0])
+    gaps = np.flatnonzero(np.diff(seconds[index:last]) > _GAP_S)
+    return index + int(gaps[0]) + 1 if len(gaps) else last

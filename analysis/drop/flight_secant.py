@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from analysis.drop.free_fall import noise_of
 from analysis.drop.observations import CANONICAL_PER_FALL, canonical_axis
 from analysis.estimators.base import Estimator, Observation, Problem, Trace
 from analysis.estimators.search import Search, check_one_parameter
+from analysis.statistics import noise_of
 from recorders.simulators.drop import RESTITUTION
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import NotFoundError

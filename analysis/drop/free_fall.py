@@ -13,15 +13,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.drop.impact import Impact, falling_to, gravity_of, meet
-from analysis.drop.segments import (
+from analysis.drop.impact import (
     MIN_DROP_M,
+    Impact,
     fall_samples,
+    falling_to,
     flight_samples,
-    has_rebound,
+    gravity_of,
+    meet,
     release,
     rest_and_end,
 )
+from analysis.statistics import noise_of
 from recorders.simulators.base import GRAVITY_M_S2
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import NotFoundError
@@ -159,15 +162,6 @@ def outliers(seconds: Array, heights_m: Array) -> NDArray[np.bool_]:
     return found if found.sum() <= _MOST_OUTLIERS else np.zeros_like(found)
 
 
-def noise_of(heights: Array) -> float:
-    """Standard deviation of the noise of heights, shape (T,), in their unit.
-
-    By the median of third differences, which a parabola does not have: sqrt(20) is what they make
-    of white noise, .6745 the median of a normal distribution's modulus.
-    """
-    return float(np.median(np.abs(np.diff(heights, 3)))) / (0.6745 * np.sqrt(20.0))
-
-
 def run_slopes(seconds: Array, heights: Array, width: int) -> Array:
     """Slope a second of each run of width + 1 samples, between the means of its halves.
 
@@ -239,7 +233,7 @@ def _fit_drop(
                 flight_restitution=impact.flight_restitution,
                 flight_restitution_sd=impact.flight_restitution_sd,
             )
-    if not has_rebound(clock[:end] - impact.impact_s, heights[:end], impact, noise):
+    if not _has_rebound(clock[:end] - impact.impact_s, heights[:end], impact, noise):
         raise NotFoundError("the ball does not bounce: it stays where it lands")
     release_s, release_m = release(clock, heights, start, int(fall[-1]), impact)
     first = max(start, int(np.searchsorted(clock, release_s - _MARGIN_S)))
@@ -268,3 +262,26 @@ def _fit_drop(
         rest_tolerance_m=tolerance_m,
     )
     return drop, end
+
+
+def _has_rebound(since: Array, heights: Array, impact: Impact, noise: float) -> bool:
+    """Whether the ball rises after the impact by more than chance would have it.
+
+    Args:
+        since: times after the impact [s], shape (T,).
+        heights: heights [m], shape (T,).
+        impact: the impact.
+        noise: standard deviation of a height [m].
+
+    Raises:
+        NotFoundError: the recording ends too early to tell.
+    """
+    contact, depth = impact.contact_m, impact.drop_height_m
+    early = (since > 0) & (since < 0.25 * impact.fall_time_s)
+    if not early.any():
+        raise NotFoundError("the recording ends before the ball rebounds")
+    rise = float(np.mean(heights[early])) - contact
+    if rise > 3 * noise / np.sqrt(early.sum()) + 1e-5 * depth:
+        return True
+    later = (since > 0) & (since < 2 * impact.fall_time_s)
+    return float(np.quantile(heights[later], 0.97)) - contact > 3 * noise + 1e-4 * depth

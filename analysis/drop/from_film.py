@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -14,13 +13,11 @@ from analysis.drop.checks import fit_check, recording_checks, sure_check
 from analysis.drop.detection import DISAGREEMENT, FilmDetection, drop_problem
 from analysis.drop.film_checks import film_checks, hop_check, scale_checks
 from analysis.drop.film_presets import PRESETS
-from analysis.drop.film_restitution import film_rebounds, film_value
+from analysis.drop.film_restitution import film_rebounds, film_value, flight_ratio
 from analysis.drop.presets import PAPER_HEIGHT_M
-from analysis.drop.rebounds import flight_ratio
 from analysis.drop.record_parts import reported_rebounds, tuned_curves
-from analysis.estimators.base import FitResult, Observation, Problem, Step, Trace
-from analysis.experiment import Claim, Preset
-from analysis.record import Curves, Rebound
+from analysis.estimators.base import FitResult, Observation, Problem, Step
+from analysis.experiment import Claim
 from analysis.selection import Hints, Selection
 from analysis.tracking.pictures import Pictures
 from analysis.tracking.track import Track, track_ball
@@ -34,7 +31,7 @@ if TYPE_CHECKING:
     import rerun as rr
     import rerun.blueprint as rrb
 
-    from analysis.tuning_result import Tuning
+    from analysis.record import Tuning
 
 _AGREEMENT = 0.03
 """Of the restitution: what a track's systematic errors take off the cross-check of a good film."""
@@ -59,11 +56,9 @@ class DropFromFilm:
     kind = "drop"
     occasion = "drop"
     parameters = (RESTITUTION,)
-
-    @property
-    def presets(self) -> Mapping[str, Preset]:
-        """See `Experiment.presets`."""
-        return PRESETS
+    presets = PRESETS
+    curves = staticmethod(tuned_curves)
+    rebounds = staticmethod(reported_rebounds)
 
     def claim(self, episode: Episode, topic: str | None) -> Claim:
         """By its pictures; see `Experiment.claim`."""
@@ -139,14 +134,6 @@ class DropFromFilm:
         value = float(estimate[0]) * ratio.value / ratio.fitted
         method = "durations of the first two flights"
         return CrossCheck(method, value, bool(agrees), DISAGREEMENT)
-
-    def curves(self, detection: FilmDetection, last: Step) -> Curves | None:
-        """See `Experiment.curves`."""
-        return tuned_curves(detection, last)
-
-    def rebounds(self, detection: FilmDetection, trace: Trace) -> tuple[Rebound, ...]:
-        """See `Experiment.rebounds`."""
-        return reported_rebounds(detection.drop, trace)
 
     def review(self, stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
         """See `Experiment.review`."""

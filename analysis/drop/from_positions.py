@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -23,22 +23,21 @@ from analysis.drop.detection import DISAGREEMENT, TOO_SHORT, DropDetection, drop
 from analysis.drop.free_fall import Drop, find_drops, outliers
 from analysis.drop.presets import PAPER_HEIGHT_M, PRESETS
 from analysis.drop.record_parts import reported_rebounds, tuned_curves
-from analysis.estimators.base import FitResult, Observation, Problem, Step, Trace
-from analysis.experiment import Claim, Preset
-from analysis.record import Curves, Rebound
+from analysis.estimators.base import FitResult, Observation, Problem, Step
+from analysis.experiment import Claim
 from analysis.selection import Selection, check_start
 from recorders.simulators.drop import RESTITUTION, TOPIC
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, Signal
 from tunenet_logs.errors import NotFoundError
-from tunenet_logs.text import listed
+from tunenet_logs.terminal import listed
 from tunenet_logs.timestamp_correction import correct_late_stamps
 
 if TYPE_CHECKING:
     import rerun as rr
     import rerun.blueprint as rrb
 
-    from analysis.tuning_result import Tuning
+    from analysis.record import Tuning
 
 _AXES = {"+z": (2, 1), "-z": (2, -1), "+y": (1, 1), "-y": (1, -1), "+x": (0, 1), "-x": (0, -1)}
 """Column and sign of what may be up, the likeliest first."""
@@ -69,11 +68,9 @@ class DropFromPositions:
     kind = "drop"
     occasion = "drop"
     parameters = (RESTITUTION,)
-
-    @property
-    def presets(self) -> Mapping[str, Preset]:
-        """See `Experiment.presets`."""
-        return PRESETS
+    presets = PRESETS
+    curves = staticmethod(tuned_curves)
+    rebounds = staticmethod(reported_rebounds)
 
     def claim(self, episode: Episode, topic: str | None) -> Claim:
         """By its positions: a tree of frames is in every robot's log; see `Experiment.claim`."""
@@ -87,13 +84,22 @@ class DropFromPositions:
     def detect(self, episode: Episode, selection: Selection, preset: str) -> DropDetection:
         """The first drop of the ball's signal; see `Experiment.detect`."""
         reasons: list[str] = []
-        unused = _unused_options(episode, selection)
+        unused: list[str] = []
+        if selection.arm_options:
+            unused.append(f"{', '.join(selection.arm_options)} not used: this is a drop")
+        if selection.ball_options:  # nobody should think that they had an effect
+            topics = episode.picture_topics
+            there = (
+                f"to use its pictures: --topic {topics[0]}" if topics else "it holds no pictures"
+            )
+            named = ", ".join(selection.ball_options)
+            unused.append(f"{named} not used: the log holds the ball's position ({there})")
         for signal in _candidates(episode, selection):
             try:
                 check_start(selection.start_s, float(signal.seconds[-1]))
                 arrivals = correct_late_stamps(signal.stamps_ns)
                 even = replace(signal, stamps_ns=arrivals.stamps_ns)
-                detection = _detect_in(_cut(even, selection), int(signal.stamps_ns[0]), preset)
+                detection = _detect_in(even, int(signal.stamps_ns[0]), selection, preset)
                 late = arrivals.warnings("samples")
                 return replace(detection, warnings=(*detection.warnings, *late, *unused))
             except NotFoundError as reason:
@@ -138,14 +144,6 @@ class DropFromPositions:
         agrees = bool(abs(value - estimate[0]) < margin)
         return CrossCheck("speeds at the first impact", value, agrees, DISAGREEMENT)
 
-    def curves(self, detection: DropDetection, last: Step) -> Curves | None:
-        """See `Experiment.curves`."""
-        return tuned_curves(detection, last)
-
-    def rebounds(self, detection: DropDetection, trace: Trace) -> tuple[Rebound, ...]:
-        """See `Experiment.rebounds`."""
-        return reported_rebounds(detection.drop, trace)
-
     def review(self, stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
         """See `Experiment.review`."""
         from analysis.drop.review.views import log_drop
@@ -171,35 +169,19 @@ def _candidates(episode: Episode, selection: Selection) -> list[Signal]:
     return sorted(positions, key=lambda one: (one.name != TOPIC, "ball" not in one.name, one.name))
 
 
-def _unused_options(episode: Episode, selection: Selection) -> tuple[str, ...]:
-    """What to say of options for others: nobody should think that they had an effect."""
-    found: list[str] = []
-    if selection.arm_options:
-        found.append(f"{', '.join(selection.arm_options)} not used: this is a drop")
-    if selection.ball_options:
-        topics = episode.picture_topics
-        there = f"to use its pictures: --topic {topics[0]}" if topics else "it holds no pictures"
-        named = ", ".join(selection.ball_options)
-        found.append(f"{named} not used: the log holds the ball's position ({there})")
-    return tuple(found)
-
-
 def _is_position(signal: Signal) -> bool:
     return signal.columns == _POSITION and signal.unit == "m"
 
 
-def _cut(signal: Signal, selection: Selection) -> Signal:
-    """The selected part, without the samples that hold no position."""
+def _detect_in(signal: Signal, start_ns: int, selection: Selection, preset: str) -> DropDetection:
+    """The first drop in the selected part, without the samples that hold no position."""
     seconds = signal.seconds
     keep: NDArray[np.bool_] = np.all(np.abs(signal.values) < _FARTHEST_M, axis=1)  # NaN is not
     if selection.start_s is not None:
         keep &= seconds >= selection.start_s
     if selection.end_s is not None:
         keep &= seconds <= selection.end_s
-    return _only(signal, keep)
-
-
-def _detect_in(signal: Signal, start_ns: int, preset: str) -> DropDetection:
+    signal = replace(signal, stamps_ns=signal.stamps_ns[keep], values=signal.values[keep])
     if not len(signal.stamps_ns):
         raise NotFoundError("no sample with a position (in the part that was selected)")
     up, signal, drops = _vertical_drops(signal, start_ns)
@@ -232,18 +214,14 @@ def _vertical_drops(signal: Signal, start_ns: int) -> tuple[str, Signal, list[Dr
         if (high - low)[column] < 0.5 * (high - low).max():
             continue
         seconds = (signal.stamps_ns - start_ns).astype(np.float64) * 1e-9
-        kept = _only(signal, np.logical_not(outliers(seconds, signal.values[:, column])))
+        keep = np.logical_not(outliers(seconds, signal.values[:, column]))
+        kept = replace(signal, stamps_ns=signal.stamps_ns[keep], values=signal.values[keep])
         seconds = (kept.stamps_ns - start_ns).astype(np.float64) * 1e-9
         try:
             return up, kept, find_drops(seconds, sign * kept.values[:, column])
         except NotFoundError as reason:
             first_reason = first_reason or reason
     raise first_reason or NotFoundError("the ball does not move")
-
-
-def _only(signal: Signal, keep: NDArray[np.bool_]) -> Signal:
-    stamps_ns, values = signal.stamps_ns[keep], signal.values[keep]
-    return Signal(signal.name, stamps_ns, values, signal.columns, signal.unit)
 
 
 def _paper_warnings(drop: Drop, target: Observation) -> list[str]:

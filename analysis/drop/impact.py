@@ -1,4 +1,4 @@
-"""Where a fall and the flight after it meet: the impact's time, level and speeds."""
+"""Where a fall and the flight after it meet, and which samples belong to each of them."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tunenet_logs.arrays import Array
+from tunenet_logs.errors import NotFoundError
 
 Indices = NDArray[np.intp]
 """Of samples, increasing."""
@@ -146,3 +147,176 @@ def _crossing(coefficients: NDArray[Any]) -> Array:
     after = slope_up + 2 * curve * impact
     height = offset + slope * impact + curve * impact**2
     return np.array([impact, height, speed, after / speed])
+
+
+MIN_DROP_M = 0.02
+"""A lower fall lasts 64 ms: a camera of 60 Hz sees it in four pictures."""
+
+_FALL_FRACTIONS = (0.95, 0.8, 0.6, 0.4, 0.25)
+"""Lower parts of a descent that are tried as its free fall, the largest first."""
+
+_REST_WINDOW_S = 0.25
+"""Longer than the top of a bounce stays within the tolerance of a rest."""
+
+_FIRST_BLOCK = 256
+"""Samples that are looked through at first: a ball rests soon, whatever the recording's length."""
+
+
+def fall_samples(
+    clock: Array, heights: Array, start: int, index: int, noise: float
+) -> tuple[Indices, Array]:
+    """Samples of the free fall before an impact, and their parabola.
+
+    Of what leads down to the impact, the largest lower part that is a parabola: the ball may have
+    been held, carried or lowered by hand before.
+
+    Args:
+        clock: times [s], shape (T,).
+        heights: heights [m], shape (T,).
+        start: first sample that may belong to it.
+        index: a sample within one or two of the impact.
+        noise: standard deviation of a height [m].
+
+    Returns:
+        Their indices, at least 5, and the least-squares parabola, highest power first, shape (3,).
+
+    Raises:
+        NotFoundError: nothing before the impact is a free fall.
+    """
+    low = float(heights[index])
+    top, first = low, index
+    while first > start and heights[first - 1] > top - 6 * noise - 0.05 * (top - low):
+        first -= 1
+        top = max(top, float(heights[first]))
+    depth = top - low
+    if depth < max(MIN_DROP_M, 15 * noise):
+        raise NotFoundError(f"the ball falls by only {1000 * depth:.0f} mm")
+    for fraction in _FALL_FRACTIONS:
+        high = np.flatnonzero(heights[first : index - 1] > low + fraction * depth)
+        begin = first + (int(high[-1]) + 1 if len(high) else 0)
+        fall = np.arange(begin, index - 1)
+        if len(fall) < 5:
+            continue
+        parabola = np.polyfit(clock[fall], heights[fall], 2)
+        residuals = heights[fall] - np.polyval(parabola, clock[fall])
+        if parabola[0] < 0 and np.sqrt(np.mean(residuals**2)) < 2 * noise + 0.002 * depth:
+            return fall, parabola
+    raise NotFoundError("no free fall is seen before an impact (carried, or too few samples)")
+
+
+def release(
+    clock: Array, heights: Array, start: int, last: int, impact: ImpactFit
+) -> tuple[float, float]:
+    """When [s] and at what height [m] a fall began: the apex of its upper quarter.
+
+    Drag bends a long fall, so the parabola of its end would put the release elsewhere.
+
+    Args:
+        clock: times [s], shape (T,).
+        heights: heights [m], shape (T,).
+        start: first sample that may belong to it.
+        last: last sample of the fall.
+        impact: at its end.
+    """
+    contact = impact.contact_m
+    begin, top = last, float(heights[max(start, last - 5) : last + 1].max())
+    while begin > start and heights[begin - 1] >= heights[begin] - 0.01 * (top - contact):
+        begin -= 1
+        top = max(top, float(heights[begin]))
+    fraction = (heights[begin : last + 1] - contact) / (top - contact)
+    upper = begin + np.flatnonzero((fraction > 0.75) & (fraction < 0.985))
+    parabolas = [impact.fall]
+    if len(upper) >= 5:
+        parabola = np.polyfit(clock[upper], heights[upper], 2)
+        parabolas += [parabola] if parabola[0] < 0 else []
+    (apex_s, apex_m), *others = [
+        (-slope / (2 * curve), offset - slope**2 / (4 * curve))
+        for curve, slope, offset in (parabola.tolist() for parabola in parabolas)
+    ]
+    if others and abs(others[0][0] - apex_s) < 0.25 * (impact.impact_s - apex_s):
+        return others[0]
+    return apex_s, apex_m
+
+
+def flight_samples(clock: Array, heights: Array, index: int, fall: Array, noise: float) -> Indices:
+    """Samples of the first flight: as long as they lie on one parabola of the fall's curvature.
+
+    How many they are is found by doubling, then by bisection.
+
+    Args:
+        clock: times [s], shape (T,).
+        heights: heights [m], shape (T,).
+        index: a sample within one or two of the impact.
+        fall: parabola of the fall, highest power first, shape (3,).
+        noise: standard deviation of a height [m].
+
+    Returns:
+        Their indices: at least 3, or none.
+    """
+    tolerance = 4 * noise + 5e-4 * np.ptp(heights)
+    landing = falling_to(float(heights[max(index - 3, 0) : index + 4].min()), fall)
+    speed_m_s = max(landing.impact_speed_m_s, 1e-3)
+    doubt_s = (clock[index] - clock[index - 1]) / 2 + 3 * noise / speed_m_s
+    begin = int(np.searchsorted(clock, landing.impact_s + doubt_s))
+
+    def is_flight(stop: int) -> bool:
+        if stop > len(clock):
+            return False
+        times = clock[begin:stop]
+        straight = heights[begin:stop] - fall[0] * times**2
+        off = straight - np.polyval(np.polyfit(times, straight, 1), times)
+        return bool(np.abs(off).max() < tolerance)
+
+    if not is_flight(begin + 3):
+        return np.arange(0)
+    reach = 3
+    while is_flight(begin + 2 * reach):
+        reach *= 2
+    good, bad = begin + reach, begin + 2 * reach
+    while bad - good > 1:
+        middle = (good + bad) // 2
+        good, bad = (middle, bad) if is_flight(middle) else (good, middle)
+    samples = np.arange(begin, good - 1)  # the last one may have touched the table
+    return samples if len(samples) >= 3 else samples[:0]
+
+
+def rest_and_end(
+    clock: Array, heights: Array, index: int, impact: Impact, noise: float
+) -> tuple[Indices, int]:
+    """Samples at rest after the bounces (perhaps none), and where the ball is moved again.
+
+    Args:
+        clock: times [s], shape (T,).
+        heights: heights [m], shape (T,).
+        index: a sample within one or two of the impact.
+        impact: the impact.
+        noise: standard deviation of a height [m].
+    """
+    contact, depth = impact.contact_m, impact.drop_height_m
+    after = heights[index + 1 :]
+    above = np.flatnonzero(after > contact + 1.1 * depth + 6 * noise)
+    end = index + 1 + (int(above[0]) if len(above) else len(after))
+    width = int(np.ceil(_REST_WINDOW_S / float(np.median(np.diff(clock))))) + 1
+    third = width // 3
+    sag = impact.gravity_m_s2 * (_REST_WINDOW_S / 3) ** 2
+    begin, size = index + 1, _FIRST_BLOCK
+    while end - begin >= width:
+        block = heights[begin : min(begin + size + width - 1, end)]
+        windows = np.lib.stride_tricks.sliding_window_view(block, width)
+        highest, lowest = windows.max(axis=1), windows.min(axis=1)
+        # Near the top of a bounce a ball hardly moves either, but it curves.
+        edges = windows[:, :third].mean(axis=1) + windows[:, -third:].mean(axis=1)
+        bend = edges - 2 * windows[:, third : width - third].mean(axis=1)
+        still = (highest - lowest < 0.002 * depth + 8 * noise) & (np.abs(bend) < sag / 2)
+        low = highest < contact + 0.05 * depth + 8 * noise
+        settled = np.flatnonzero(still & low)
+        if len(settled):
+            begin += int(settled[0])
+            break
+        begin, size = begin + size, 2 * size
+    else:
+        return np.arange(0), end
+    level = np.median(heights[begin : begin + width])
+    moved = np.flatnonzero(np.abs(heights[begin:end] - level) > 0.02 * depth + 8 * noise)
+    end = begin + int(moved[0]) if len(moved) else end
+    return np.arange(begin, end), end

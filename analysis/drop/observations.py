@@ -8,7 +8,6 @@ table and sampling rate drop out. So one network serves every rig.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.drop.free_fall import Drop
 from analysis.estimators.base import Observation, resample
@@ -137,13 +136,13 @@ def _between_impacts(times: Array, heights: Array, wanted: Array) -> Array:
     """
     gap = np.clip(np.searchsorted(times, wanted, side="right") - 1, 1, len(times) - 3)
 
-    def prolonged(first: NDArray[np.intp]) -> Array:
-        s0, s1 = times[first], times[first + 1]
-        slope = (heights[first + 1] - heights[first]) / (s1 - s0)
-        return heights[first] + slope * (wanted - s0) + (wanted - s0) * (s1 - wanted)
-
-    claims = np.sort([prolonged(gap - 1), prolonged(gap), prolonged(gap + 1)], axis=0)
+    claims: list[Array] = []
+    for first in (gap - 1, gap, gap + 1):
+        before, after = times[first], times[first + 1]
+        slope = (heights[first + 1] - heights[first]) / (after - before)
+        since = wanted - before
+        claims.append(heights[first] + slope * since + since * (after - wanted))
     straight = np.interp(wanted, times, heights)
-    values = np.maximum(claims[1], np.minimum(straight, 0.0))
+    values = np.maximum(np.sort(claims, axis=0)[1], np.minimum(straight, 0.0))
     values[(wanted < times[0]) | (wanted > times[-1])] = np.nan
     return values

@@ -14,11 +14,11 @@ from analysis.tunenet.checkpoint import Purpose
 from analysis.tunenet.network import AntisymmetricNetwork, PaperNetwork
 from analysis.tunenet.pairs import PairSet, consecutive_pairs, mixed_pairs, observe_all
 from analysis.tunenet.training import Recipe
+from recorders.simulators.base import BallWorld, engine
 from recorders.simulators.contact import CALIBRATED, PAPER, ContactSettings
 from recorders.simulators.drop import RESTITUTION, DropRig, DropSimulator
-from recorders.simulators.engines import BallWorld, engine
 from tunenet_logs.arrays import Array
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 Plan = tuple[DropRig, ContactSettings, float]
 """A rollout to make: rig, settings, restitution."""

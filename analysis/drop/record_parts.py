@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from analysis.drop.detection import AnyDetection
-from analysis.drop.free_fall import Drop
 from analysis.estimators.base import Step, Trace
 from analysis.record import MOST_SAMPLES, Curves, Rebound
 from tunenet_logs.arrays import Array
@@ -57,7 +56,7 @@ def simulated_heights(detection: AnyDetection, step: Step) -> tuple[Array, Array
     return seconds[inside], heights_m[inside]
 
 
-def reported_rebounds(drop: Drop, trace: Trace) -> tuple[Rebound, ...]:
+def reported_rebounds(detection: AnyDetection, trace: Trace) -> tuple[Rebound, ...]:
     """The impacts that the fit tells apart, else the first, whose restitution is the tuning's."""
     if trace.fit is not None and trace.fit.detail:
         return trace.fit.detail
@@ -65,4 +64,5 @@ def reported_rebounds(drop: Drop, trace: Trace) -> tuple[Rebound, ...]:
     if trace.fit is not None:
         low, high = trace.fit.interval95[0].tolist()
         ends = low, high
+    drop = detection.drop
     return (Rebound(drop.impact_s, float(trace.estimate[0]), ends, drop.impact_speed_m_s),)

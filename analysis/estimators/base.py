@@ -124,6 +124,8 @@ class Problem:
     ) -> None:
         self.target = target
         self.simulator = simulator
+        self.parameters: tuple[Parameter, ...] = simulator.parameters
+        """What is to be found."""
         self.rollouts = 0
         """Simulator runs so far: every method pays for each."""
         self.exact_fit = exact_fit
@@ -137,11 +139,6 @@ class Problem:
             ]
         )
         self._observe = observe
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """What is to be found."""
-        return self.simulator.parameters
 
     def evaluate(self, values: Array) -> Evaluation:
         """Run the simulator at `values`, shape (P,), and observe it."""

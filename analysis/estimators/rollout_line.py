@@ -14,25 +14,35 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.drop.free_fall import noise_of
 from analysis.estimators.base import Estimator, Problem, Setup, Step, Trace
 from analysis.estimators.search import Search, check_one_parameter
+from analysis.statistics import noise_of
 from analysis.tunenet.network import Model
 from tunenet_logs.arrays import Array
 
-_NETWORK_STEPS = 2
-_LINE_STEPS = 8
-_SCAN = 13
-_SCAN_SDS = 4.0
-_LEAST_REACH = 1e-4
+_NETWORK_STEPS, _LINE_STEPS = 2, 8
+"""Rollouts: two steps reach the basin; where eight lines do not end, more of them will not."""
+
+_SCAN, _SCAN_SDS = 13, 4.0
+"""Points of the local scan, and its half width in standard errors of the last line."""
+
+_LEAST_REACH, _BLIND_REACH = 1e-4, 0.03
+"""Half width of the scan [parameter]: at least, and where no line was found."""
+
 _FEWEST = 4
+"""Samples that a line needs: twice its unknowns."""
+
 _PROBE = 0.01
-_BLIND_REACH = 0.03
+"""Step [parameter] to a second point: inside the basin, and well above rounding."""
+
 _CONSISTENT_SDS = 3.0
+"""Standard errors within which longer beginnings must agree with shorter ones (Lepski's rule)."""
+
 _ENOUGH, _CHANCE = 16, 3.0
-"""Chance hardly leaves a third of the noise's variance in so many samples."""
+"""With 16 samples or more, chance hardly leaves a third of the noise's variance."""
 
 _SAME = 1e-10
+"""Differences [parameter, or of a curve] below it are rounding."""
 
 
 Visit = tuple[float, Array]

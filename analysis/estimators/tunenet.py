@@ -1,9 +1,12 @@
-"""Iterative residual tuning: algorithm 1 of Allevato et al. 2019."""
+"""Iterative residual tuning (algorithm 1 of Allevato et al. 2019), and the exact fit after it."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from analysis.estimators.base import Estimator, Problem, Setup, Step, Trace
 from analysis.tunenet.network import Model
+from tunenet_logs.errors import NotFoundError
 
 
 class TuneNet(Estimator):
@@ -37,3 +40,41 @@ class TuneNet(Estimator):
             values = problem.clamp(values + residual)
         steps.append(Step(values, problem.rollouts))
         return Trace(tuple(steps))
+
+
+class ExactFit(Estimator):
+    """Fits the closed-form model to every sample, from the middle of the parameters' ranges."""
+
+    name = "fit"
+
+    def estimate(self, problem: Problem, rollouts: int) -> Trace:  # noqa: ARG002 (needs none)
+        """No rollout; see `Estimator.estimate`."""
+        trace = fitted(Trace((Step(problem.initial, problem.rollouts),)), problem)
+        if trace.fit is None:
+            raise NotFoundError("the log shows too little for the exact fit; try --method tunenet")
+        return trace
+
+
+class TuneNetThenFit(TuneNet):
+    """TuneNet's steps, then the exact fit from where they end."""
+
+    name = "tunenet+refine"
+
+    def estimate(self, problem: Problem, rollouts: int) -> Trace:
+        """All rollouts are the network's; see `Estimator.estimate`."""
+        trace = fitted(super().estimate(problem, rollouts), problem)
+        return trace if trace.fit is not None else replace(trace, method=TuneNet.name)
+
+
+def fitted(trace: Trace, problem: Problem) -> Trace:
+    """A trace that goes on to the exact fit near its estimate; the same where the fit fails.
+
+    Raises:
+        NotFoundError: the problem has no exact fit.
+    """
+    if problem.exact_fit is None:
+        raise NotFoundError("no exact fit exists under this preset; use --method tunenet")
+    fit = problem.exact_fit(trace.estimate)
+    if fit is None:
+        return trace
+    return Trace((*trace.steps, Step(fit.values, problem.rollouts)), fit)

@@ -19,7 +19,7 @@ from analysis.evaluation.printing import (
 )
 from tunenet_logs.commandline import Parser, run, whole
 from tunenet_logs.errors import UsageError
-from tunenet_logs.text import one_line
+from tunenet_logs.terminal import Progress, one_line
 
 _DESCRIPTION = """\
 Repeat an experiment of the TuneNet paper from nothing, training and test targets drawn
@@ -147,8 +147,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _eval(arguments: argparse.Namespace) -> int:
     _check(arguments)
-
-    from tunenet_logs.progress import Progress
 
     progress = Progress(quiet=arguments.quiet)
     count = arguments.seeds or _SEEDS.get(arguments.experiment, _DEFAULT_SEEDS)

@@ -11,7 +11,7 @@ from tunenet_logs.errors import UsageError
 
 if TYPE_CHECKING:
     from analysis.evaluation.drop.networks import Effort
-    from tunenet_logs.progress import Progress
+    from tunenet_logs.terminal import Progress
 
 METHODS = (
     *("mean", "entropy-search", "cma-es", "direct", "tunenet-paper", "tunenet-paper-code"),

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from analysis.drop.detection import FilmDetection
 from analysis.drop.from_film import DropFromFilm
+from analysis.record import Tuning
 from analysis.selection import Options
 from analysis.tracking.track import Track
 from analysis.tuning import Stopwatch, tune_detected
-from analysis.tuning_result import Tuning
 
 
 def tune_track(track: Track, options: Options) -> Tuning:

@@ -18,10 +18,10 @@ from recorders.simulators.arm.description import Arm
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, Signal
 from tunenet_logs.errors import NotFoundError
-from tunenet_logs.text import listed
+from tunenet_logs.terminal import listed
 
-_UNITS = ("N·m", "rad")
-"""Of the two fields that a payload is found from."""
+JOINT_UNITS = ("N·m", "rad")
+"""Of the two fields that a payload is found from: what has one is of joints, whatever its name."""
 
 _FEWEST_SAMPLES = 20
 """Of a field: fewer determine neither a motion nor a rate."""
@@ -140,11 +140,6 @@ def read_arm_log(
     )
 
 
-def has_joints(episode: Episode, topic: str) -> bool:
-    """Whether a topic has torques or positions of joints, whatever their names."""
-    return any(signal.unit in _UNITS for signal in episode.signals_of(topic))
-
-
 def _checked_topic(episode: Episode, arm: Arm, topic: str) -> str:
     """The topic that a user named, without the name of one of its fields.
 
@@ -153,7 +148,7 @@ def _checked_topic(episode: Episode, arm: Arm, topic: str) -> str:
     """
     reasons: list[str] = []
     for signal in episode.signals_of(topic):
-        if signal.unit not in _UNITS:
+        if signal.unit not in JOINT_UNITS:
             continue
         try:
             match_joints(arm.joint_names, signal.columns)
@@ -163,7 +158,7 @@ def _checked_topic(episode: Episode, arm: Arm, topic: str) -> str:
             return _topic(signal)
     if reasons:
         raise NotFoundError(reasons[0])
-    usable = {_topic(signal) for signal in episode.signals.values() if signal.unit in _UNITS}
+    usable = {_topic(signal) for signal in episode.signals.values() if signal.unit in JOINT_UNITS}
     known = listed(sorted(usable)) or "none"
     raise NotFoundError(f"no usable topic {topic}; there is: {known}")
 
@@ -176,9 +171,15 @@ def _pick(episode: Episode, unit: str, arm: Arm, topic: str | None, what: str) -
             f"no {what} in this log (there: {listed(tuple(episode.signals))}): record the driver's "
             "JointState with position and effort, or its joint_torques topic beside it"
         )
-    ordered = sorted(there, key=lambda signal: (_topic(signal) != topic, _is_still(signal)))
+    is_still: dict[str, bool] = {}
+    for signal in there:
+        measured = signal.values[:, np.isfinite(signal.values).any(axis=0)]
+        finite = measured[np.isfinite(measured).all(axis=1)]
+        is_still[signal.name] = not len(finite) or bool(np.all(np.ptp(finite, axis=0) == 0))
     reasons: list[str] = []
-    for signal in ordered:
+    for signal in sorted(
+        there, key=lambda signal: (_topic(signal) != topic, is_still[signal.name])
+    ):
         try:
             match_joints(arm.joint_names, signal.columns)
         except NotFoundError as error:
@@ -240,7 +241,13 @@ def _fresh(
     new[1:] = np.any(values[1:] != values[:-1], axis=1)
     repeated = 1 - float(np.mean(new)) if len(new) else 0.0
     if rests and new.any():
-        new |= _resting(seconds, values, new)
+        indices = np.flatnonzero(new)
+        regular = seconds[indices] if len(indices) >= _FEWEST_SAMPLES else seconds
+        period = float(np.median(np.diff(regular))) if len(regular) > 1 else 0.0
+        for begin, end in zip(indices, [*indices[1:], len(new)], strict=True):
+            # An arm that is suddenly elsewhere did not rest: the driver was stuck.
+            if end == len(new) or np.abs(values[end] - values[begin]).max() <= _JUMP_RAD:
+                new[begin:end] |= seconds[begin:end] - seconds[begin] > _REST_PERIODS * period
     if np.count_nonzero(new) < _FEWEST_SAMPLES:
         raise NotFoundError(
             f"{signal.name}: {np.count_nonzero(new)} samples of all joints are new (wanted: "
@@ -255,29 +262,6 @@ def _fresh(
         else:
             times = even
     return JointSamples(_topic(signal), times, values[new], repeated, late_s)
-
-
-def _resting(seconds: Array, values: Array, new: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Samples at which nothing has changed for so long that the arm rests, shape (T,).
-
-    Where it then is suddenly elsewhere it did not rest: the driver was stuck.
-    """
-    indices = np.flatnonzero(new)
-    regular = seconds[indices] if len(indices) >= _FEWEST_SAMPLES else seconds
-    period = float(np.median(np.diff(regular))) if len(regular) > 1 else 0.0
-    rests = np.zeros(len(new), dtype=bool)
-    for begin, end in zip(indices, [*indices[1:], len(new)], strict=True):
-        if end < len(new) and np.abs(values[end] - values[begin]).max() > _JUMP_RAD:
-            continue
-        rests[begin:end] = seconds[begin:end] - seconds[begin] > _REST_PERIODS * period
-    return rests
-
-
-def _is_still(signal: Signal) -> bool:
-    """Whether no column that has numbers ever changes."""
-    measured = signal.values[:, np.isfinite(signal.values).any(axis=0)]
-    finite = measured[np.isfinite(measured).all(axis=1)]
-    return not len(finite) or bool(np.all(np.ptp(finite, axis=0) == 0))
 
 
 def _topic(signal: Signal) -> str:

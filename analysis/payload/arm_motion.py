@@ -90,46 +90,38 @@ def arm_motion(log: ArmLog) -> ArmMotion:
         NotFoundError: too few torques remain.
     """
     positions, efforts = log.position.seconds, log.effort.seconds
-    inliers = ~_outliers(log.position.values)
-    spline = smoothing_spline(positions[inliers], log.position.values[inliers], log.position.late_s)
+    angles = log.position.values
+    # Single samples at which no arm can have been between the two beside them.
+    off = np.zeros(len(angles))
+    aside = np.abs(angles[1:-1] - (angles[2:] + angles[:-2]) / 2)
+    usual = np.maximum(_OUTLIER_FACTOR * np.median(aside, axis=0), _OUTLIER_RAD)
+    off[1:-1] = np.max(aside / usual, axis=1)
+    most = np.maximum(off, np.maximum(np.roll(off, 1), np.roll(off, -1)))
+    inliers = ~((off > 1) & (off == most))
+    spline = smoothing_spline(positions[inliers], angles[inliers], log.position.late_s)
     after = np.clip(np.searchsorted(positions, efforts), 1, len(positions) - 1)
     gaps = np.diff(positions)
-    most = max(_MOST_GAP_PERIODS * float(np.median(gaps)), _LEAST_GAP_S)
+    most_s = max(_MOST_GAP_PERIODS * float(np.median(gaps)), _LEAST_GAP_S)
     inside = (efforts > positions[0] + _ENDS_S) & (efforts < positions[-1] - _ENDS_S)
-    keep = inside & (gaps[after - 1] < most)
+    keep = inside & (gaps[after - 1] < most_s)
     if np.count_nonzero(keep) < _FEWEST_TORQUES:
         raise NotFoundError(
             f"{np.count_nonzero(keep)} torques have positions about them (wanted: "
             f"{_FEWEST_TORQUES} or more): record both at once, for 5 s"
         )
-    seconds, effort = _thinned(efforts[keep], log.effort.values[keep])
+    seconds, effort = efforts[keep], log.effort.values[keep]
+    if len(seconds) > _MOST_TORQUES:  # means over short spans
+        since = seconds - seconds[0]
+        width = float(since[-1]) / (_MOST_TORQUES - 1)
+        spans = (since / width).astype(np.int64)
+        near = since - spans * width < _MEAN_SPAN_S
+        _, spans, counts = np.unique(spans[near], return_inverse=True, return_counts=True)
+        rows = np.column_stack([seconds[near], effort[near]])
+        sums = np.zeros((len(counts), rows.shape[1]))
+        np.add.at(sums, spans, rows)
+        means = sums / counts[:, None]
+        seconds, effort = means[:, 0], means[:, 1:]
     return ArmMotion(seconds, effort, ~log.constant, spline)
-
-
-def _outliers(values: Array) -> NDArray[np.bool_]:
-    """Single samples at which no arm can have been between the two beside them."""
-    off = np.zeros(len(values))
-    aside = np.abs(values[1:-1] - (values[2:] + values[:-2]) / 2)
-    usual = np.maximum(_OUTLIER_FACTOR * np.median(aside, axis=0), _OUTLIER_RAD)
-    off[1:-1] = np.max(aside / usual, axis=1)
-    most = np.maximum(off, np.maximum(np.roll(off, 1), np.roll(off, -1)))
-    return (off > 1) & (off == most)
-
-
-def _thinned(seconds: Array, effort: Array) -> tuple[Array, Array]:
-    """Means over short spans of time where there are more samples than a fit needs."""
-    if len(seconds) <= _MOST_TORQUES:
-        return seconds, effort
-    since = seconds - seconds[0]
-    width = float(since[-1]) / (_MOST_TORQUES - 1)
-    spans = (since / width).astype(np.int64)
-    near = since - spans * width < _MEAN_SPAN_S
-    _, spans, counts = np.unique(spans[near], return_inverse=True, return_counts=True)
-    rows = np.column_stack([seconds[near], effort[near]])
-    sums = np.zeros((len(counts), rows.shape[1]))
-    np.add.at(sums, spans, rows)
-    means = sums / counts[:, None]
-    return means[:, 0], means[:, 1:]
 
 
 def smoothing_spline(seconds: Array, values: Array, late_s: float = 0.0) -> BSpline:

@@ -10,7 +10,7 @@ from analysis.payload.arm_motion import ArmMotion
 from analysis.payload.fit_result import FitResidual, PayloadFit
 from recorders.simulators.arm.description import Arm
 from tunenet_logs.arrays import Array
-from tunenet_logs.text import listed, short_name
+from tunenet_logs.terminal import listed, short_name
 
 _LEAST_HZ = 8.0
 _LEAST_S, _REJECT_S = 3.0, 1.0

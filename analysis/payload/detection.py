@@ -1,18 +1,22 @@
-"""An arm's motion as it was detected in an episode, and the estimation problem that it poses."""
+"""An arm's motion as it was detected in an episode, and that of its empty run, the tare."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
-from analysis.estimators.base import FitResult, Observation, Problem
-from analysis.payload.arm_log import ArmLog
-from analysis.payload.arm_motion import ArmMotion
+from analysis.estimators.base import Observation
+from analysis.payload.arm_log import JOINT_UNITS, ArmLog, read_arm_log
+from analysis.payload.arm_motion import ArmMotion, arm_motion
 from analysis.payload.fit_result import PayloadFit
-from analysis.payload.presets import PAPER_GRAVITY_M_S2
-from analysis.payload.readings import circle_phase_s, paper_torques, payload_readings
-from analysis.payload.tare import Tare
+from analysis.payload.presets import (
+    PAPER_GRAVITY_M_S2,
+    circle_phase_s,
+    paper_torques,
+    payload_readings,
+)
 from analysis.payload.torque_fit import fit_payload
 from recorders.simulators.arm.description import Arm
 from recorders.simulators.arm.dynamics import held_efforts_nm
@@ -20,7 +24,8 @@ from recorders.simulators.arm.path import JointPath
 from recorders.simulators.arm.payload import PAYLOAD_MASS, TOPIC, PayloadSimulator
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
-from tunenet_logs.errors import NotFoundError
+from tunenet_logs.errors import LogError, NotFoundError
+from tunenet_logs.reader import read_episode
 
 EFFORT = f"{TOPIC}.effort"
 """The simulated torques."""
@@ -30,6 +35,52 @@ _LEAST_OF_CIRCLE_S = 4.0
 
 _OFF_CIRCLE_RAD = 0.1
 """From the paper's circle at any joint: a controller's error, and no other motion."""
+
+_SAME_FRACTION = 0.5
+"""Of a log's torques, in a tare to the last bit: no other run repeats as many."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tare:
+    """What was read of an empty run."""
+
+    log: ArmLog
+    motion: ArmMotion
+
+
+def read_tare(tare: Path | Episode, arm: Arm, log: ArmLog, topic: str | None) -> Tare:
+    """Read an empty run.
+
+    Args:
+        tare: its log, or what was read of one.
+        arm: whose joints are looked for.
+        log: of the run with the payload.
+        topic: which to prefer, as in that log; None for the one of its torques.
+
+    Raises:
+        NotFoundError: it cannot be used, or is no empty run.
+    """
+    name = f" {tare}" if isinstance(tare, Path) else ""
+    try:
+        episode = read_episode(tare) if isinstance(tare, Path) else tare
+        prefer = topic or log.effort.topic
+        has_joints = any(signal.unit in JOINT_UNITS for signal in episode.signals_of(prefer))
+        empty = read_arm_log(episode, arm, topic=prefer if has_joints else None)
+        mass_kg = episode.info.truth.get(PAYLOAD_MASS.name, 0.0)
+        if mass_kg > 0:
+            raise NotFoundError(
+                f"held {mass_kg:g} kg, as it says: name a run with nothing in the gripper"
+            )
+        known = {row.tobytes() for row in empty.effort.values}
+        same = sum(row.tobytes() in known for row in log.effort.values)
+        if same > _SAME_FRACTION * len(log.effort.values):
+            raise NotFoundError(
+                "has the torques of the log itself: name another run, with nothing in the gripper"
+            )
+        return Tare(empty, arm_motion(empty))
+    except (LogError, NotFoundError) as error:
+        reason = str(error).removeprefix(f"{tare}: ")
+        raise NotFoundError(f"--tare{name}: {reason}") from error
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,22 +191,3 @@ class PayloadDetection:
             return paper_torques(self.path.seconds, effort_nm, self.phase_s)
         own = self.simulator
         return payload_readings(effort_nm, own.empty_efforts_nm, own.efforts_nm_per_kg)
-
-
-def payload_problem(
-    detection: PayloadDetection,
-    initial: Array,
-    exact_fit: Callable[[Array], FitResult | None] | None,
-) -> Problem:
-    """A simulator that moves the arm as it moved; `initial` has the shape (1,) [kg].
-
-    Raises:
-        NotFoundError: the motion or the torques are none that the preset can use.
-        UsageError: the initial value is out of bounds.
-    """
-
-    def observe(episode: Episode) -> Observation:
-        return detection.observe(episode.signals[EFFORT].values)
-
-    target = detection.observe(detection.effort_nm)
-    return Problem(target, detection.simulator, observe, initial, exact_fit)

@@ -11,7 +11,7 @@ import numpy as np
 from recorders.simulators.arm.description import Arm
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import NotFoundError
-from tunenet_logs.text import listed, short_name
+from tunenet_logs.terminal import listed, short_name
 
 _NOT_OF_THE_ARM = re.compile(r"finger|gripper|knuckle|thumb|wheel", re.I)
 """Names that end in a number too, but not in that of a joint of the arm."""

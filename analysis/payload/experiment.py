@@ -14,9 +14,8 @@ from analysis.experiment import Claim, Preset
 from analysis.payload.arm_log import read_arm_log
 from analysis.payload.arm_motion import arm_motion
 from analysis.payload.checks import arm_checks, payload_checks, simulation_check, sure_check
-from analysis.payload.detection import EFFORT, PayloadDetection, payload_problem
+from analysis.payload.detection import EFFORT, PayloadDetection, read_tare
 from analysis.payload.presets import PRESETS
-from analysis.payload.tare import read_tare
 from analysis.payload.torque_fit import secant
 from analysis.record import Curves, Rebound
 from analysis.selection import Selection
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
     import rerun as rr
     import rerun.blueprint as rrb
 
-    from analysis.tuning_result import Tuning
+    from analysis.record import Tuning
 
 _AGREEMENT, _TARED_AGREEMENT = (0.25, 0.1), (0.05, 0.02)
 """How far the cross-check may be off [kg], and by which fraction of the mass: it has no
@@ -49,11 +48,7 @@ class PayloadExperiment:
     kind = "payload"
     occasion = "run"
     parameters = (PAYLOAD_MASS,)
-
-    @property
-    def presets(self) -> Mapping[str, Preset]:
-        """See `Experiment.presets`."""
-        return PRESETS
+    presets: Mapping[str, Preset] = PRESETS
 
     def claim(self, episode: Episode, topic: str | None) -> Claim:
         """By its torques, or joints without; see `Experiment.claim`."""
@@ -98,7 +93,12 @@ class PayloadExperiment:
         )
 
     def problem(self, detection: PayloadDetection, initial: Array) -> Problem:
-        """See `Experiment.problem`."""
+        """A simulator that moves the arm as it moved; `initial` has the shape (1,) [kg].
+
+        Raises:
+            NotFoundError: the motion or the torques are none that the preset can use.
+            UsageError: the initial value is out of bounds.
+        """
 
         def exact_fit(start: Array) -> FitResult:
             """All that is in the torques, which are linear in the mass: no start is needed."""
@@ -110,7 +110,13 @@ class PayloadExperiment:
                 extra = (ExtraEstimate("payload_com", "m", np.array(centre.com_m), ends),)
             return FitResult(np.array([fit.mass_kg]), np.array([fit.interval95]), extra, fit)
 
-        return payload_problem(detection, initial, exact_fit if detection.physical else None)
+        return Problem(
+            detection.observe(detection.effort_nm),
+            detection.simulator,
+            lambda episode: detection.observe(episode.signals[EFFORT].values),
+            initial,
+            exact_fit if detection.physical else None,
+        )
 
     def checks(
         self, detection: PayloadDetection, last: Step, fit: FitResult | None
@@ -150,6 +156,6 @@ class PayloadExperiment:
 
     def review(self, stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
         """See `Experiment.review`."""
-        from analysis.payload.review.layout import log_payload
+        from analysis.payload.review.views import log_payload
 
         return log_payload(stream, tuning)

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.model_averaging import TWO_SIDED
 from analysis.payload.torque_model import Convention
+from analysis.statistics import TWO_SIDED
 from tunenet_logs.arrays import Array
 
 Three = tuple[float, float, float]

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
-from analysis.model_averaging import correlation_time
 from analysis.payload.arm_motion import ArmMotion
 from analysis.payload.evidence import NormalEquations, posterior
 from analysis.payload.fit_result import LEAST_MASS_KG
@@ -27,6 +26,7 @@ from analysis.payload.torque_model import (
     Terms,
     smooth_sign,
 )
+from analysis.statistics import correlation_time
 from tunenet_logs.arrays import Array
 
 _MOST_LAG_S = 0.2

@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from analysis.model_averaging import ModelEstimate, average
 from analysis.payload.arm_motion import ArmMotion
 from analysis.payload.evidence import Ideal, Level, WeightedModel, weighted_models
 from analysis.payload.fit_result import LEAST_MASS_KG, Centre, FitResidual, Nuisance, PayloadFit
@@ -26,6 +25,7 @@ from analysis.payload.torque_model import (
     Convention,
     make_terms,
 )
+from analysis.statistics import ModelEstimate, average
 from recorders.simulators.arm.description import Arm, Payload
 from recorders.simulators.arm.dynamics import held_efforts_nm, joint_efforts_nm
 from recorders.simulators.arm.path import JointPath

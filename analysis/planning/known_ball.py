@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from analysis.drop.bounce_fit import SLOPE_SD
-from analysis.model_averaging import TWO_SIDED
 from analysis.record import Interval, Record
 from analysis.record_json import read_record
+from analysis.statistics import TWO_SIDED
 from recorders.simulators.drop import RESTITUTION
 from recorders.simulators.shot.speed_law import SpeedLaw
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import LogError, NotFoundError
-from tunenet_logs.text import one_line
+from tunenet_logs.terminal import one_line
 
 TOLD_SD = 0.01
 """Assumed of a restitution that a user gives without one, or that has no interval."""

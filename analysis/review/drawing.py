@@ -1,12 +1,17 @@
-"""What every review draws with: colours, the two timelines, and sizes on the screen."""
+"""How a review is drawn: colours, timelines, sizes, and charts for any timeline."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
 
+from analysis.report import interval_words, quantity
 from tunenet_logs.arrays import Array
 
 Color = tuple[int, int, int]
@@ -87,3 +92,185 @@ def send_scalars(stream: rr.RecordingStream, entity: str, seconds: Array, values
     stream.send_columns(
         entity, indexes=[at_seconds(seconds)], columns=rr.Scalars.columns(scalars=values)
     )
+
+
+WIDTH = 2.8
+"""Of a chart, in its heights: about the shape of the views that charts are given."""
+
+_LINES: Color = (60, 62, 70)
+"""Of a grid: just above the ground."""
+
+_STRIPS = 12
+"""Lines that fill a rectangle: so thin that its corners, round by their radius, look square."""
+
+_FIGURE_WIDTH = 0.36
+"""Chart heights that a figure takes up across; figures that would overlap are left out."""
+
+_FIGURE_RISE = 0.2
+"""Chart heights from a dot up to the place that its figure hangs from."""
+
+_LEAST_BAND = 0.008
+"""Chart heights: a narrower interval would not be seen."""
+
+_BAND = 0.35
+"""Of the result's colour, above the ground: the band must not hide dots and grid."""
+
+_BELOW, _OVER = 0.15, 0.4
+"""Room under and over the values, of what they span; figures stand over them."""
+
+
+def chart_view(name: str, title: str, width: float = WIDTH) -> rrb.View:
+    """The view of the chart `name`, with room for the grid's labels around it."""
+    return rrb.Spatial2DView(
+        origin=f"/sheets/{name}",
+        name=title,
+        background=GROUND,
+        visual_bounds=rrb.VisualBounds2D(x_range=(-0.2, width + 0.12), y_range=(-1.15, 0.2)),
+    )
+
+
+def log_grid(
+    stream: rr.RecordingStream,
+    sheet: str,
+    width: float,
+    rows: list[tuple[float, str]],
+    marks: list[tuple[float, str]],
+    hang: float = 0.085,
+) -> None:
+    """Draw lines across at the rows, ticks below at the marks, and the labels of both.
+
+    Args:
+        stream: the recording.
+        sheet: path of the chart's entity.
+        width: of the chart, in its heights.
+        rows: (y, label) of each.
+        marks: (x, label) of each.
+        hang: Rerun hangs a label from its point; by so much a row's is raised to stand beside its
+            line. Less in a larger view, where text is smaller.
+    """
+    lines = [[[0, y], [width, y]] for y, _ in rows] + [[[x, 0.02], [x, 0]] for x, _ in marks]
+    grid = rr.LineStrips2D(lines, colors=[_LINES], radii=screen_radius(0.5))
+    stream.log(f"{sheet}/grid", grid, static=True)
+    labels = rr.Points2D(
+        [[-0.09, y - hang] for y, _ in rows] + [[x, 0.04] for x, _ in marks],
+        labels=[text for _, text in rows + marks],
+        colors=[MUTED],
+        radii=screen_radius(0.1),
+        show_labels=True,
+    )
+    stream.log(f"{sheet}/labels", labels, static=True)
+
+
+def filled(
+    left: float, right: float, top: float, bottom: float
+) -> tuple[list[list[list[float]]], float]:
+    """A filled rectangle as lines side by side along its longer sides, and their radius.
+
+    Rerun's 2D boxes have outlines only.
+    """
+    width, height = right - left, bottom - top
+    radius = min(width, height) / (_STRIPS + 1)  # each line covers half of the one before
+    steps = [radius * (1 + k) for k in range(_STRIPS)]
+    if width > height:
+        ends = left + radius, right - radius
+        return [[[x, top + step] for x in ends] for step in steps], radius
+    ends = top + radius, bottom - radius
+    return [[[left + step, y] for y in ends] for step in steps], radius
+
+
+def mixed(color: Color, fraction: float) -> Color:
+    """The ground's colour with this fraction of `color` in it."""
+    pairs = zip(GROUND, color, strict=True)
+    red, green, blue = (round(low + fraction * (high - low)) for low, high in pairs)
+    return red, green, blue
+
+
+def ticks(low: float, high: float, count: int = 5) -> list[float]:
+    """About `count` round numbers in [low, high]: multiples of 1, 2 or 5 times a power of 10."""
+    raw = (high - low) / count
+    power = 10.0 ** np.floor(np.log10(raw))
+    step = power * min((1, 2, 5, 10), key=lambda factor: abs(factor * power - raw))
+    first, last = int(np.ceil(low / step - 1e-9)), int(np.floor(high / step + 1e-9))
+    return [round(k * step, 6) for k in range(first, last + 1)]
+
+
+@dataclass(frozen=True)
+class Iterates:
+    """One parameter at each iteration.
+
+    Attributes:
+        parameter: in words.
+        unit: "1" where it has none.
+        names: of the iterations, "k=3", "refined".
+        values: of the parameter, in `unit`.
+        colors: of the iterations.
+        span: least and greatest value that the chart shows.
+        interval95: of the result; None where none is honest.
+    """
+
+    parameter: str
+    unit: str
+    names: tuple[str, ...]
+    values: tuple[float, ...]
+    colors: tuple[Color, ...]
+    span: tuple[float, float]
+    interval95: tuple[float, float] | None
+
+
+def span_of(values: Sequence[float], least: float) -> tuple[float, float]:
+    """What a chart of these values shows, with room for their figures; `least` or more."""
+    low, high = min(values), max(values)
+    reach = max(high - low, least)
+    middle = (low + high) / 2
+    return middle - (0.5 + _BELOW) * reach, middle + (0.5 + _OVER) * reach
+
+
+def log_iterates(stream: rr.RecordingStream, iterates: Iterates, first_s: float) -> None:
+    """Send the entities of `iterates_view`; the log's time begins at `first_s`."""
+    low, high = iterates.span
+    count = len(iterates.values)
+
+    def y(value: float) -> float:
+        return -(value - low) / (high - low)
+
+    margin = max(WIDTH / (2 * count), _FIGURE_WIDTH / 2)
+    x = np.linspace(margin, WIDTH - margin, count)
+    dots = np.column_stack([x, [y(value) for value in iterates.values]])
+    every = math.ceil(_FIGURE_WIDTH * (count - 1) / (WIDTH - 2 * margin)) if count > 1 else 1
+    labelled = range(count - 1, -1, -every)  # backwards, so that the result is among them
+    rows = [(y(value), f"{value:g}") for value in ticks(low, high, 4)]
+    marks = [(float(x[k]), iterates.names[k]) for k in labelled]
+    log_grid(stream, "sheets/convergence", WIDTH, rows, marks)
+    if iterates.interval95 is not None:
+        ends = [y(end) for end in iterates.interval95]
+        half = max(ends[0] - ends[1], _LEAST_BAND) / 2
+        middle = sum(ends) / 2
+        strips, radius = filled(0.0, WIDTH, middle - half, middle + half)
+        color = mixed(iterates.colors[-1], _BAND)
+        band = rr.LineStrips2D(strips, colors=[color], radii=[radius], draw_order=1.0)
+        stream.log("sheets/convergence/interval", band, static=True)
+    line = rr.LineStrips2D([dots], colors=[MUTED], radii=screen_radius(0.8))
+    stream.log("sheets/convergence/line", line, static=True)
+    values = rr.Points2D(dots, colors=iterates.colors, radii=screen_radius(5.0), draw_order=20.0)
+    stream.log("sheets/convergence/values", values, static=True)
+    figures = rr.Points2D(
+        [dots[k] - [0, _FIGURE_RISE] for k in labelled],
+        labels=[f"{iterates.values[k]:.4f}" for k in labelled],
+        colors=[iterates.colors[k] for k in labelled],
+        radii=screen_radius(0.1),
+        show_labels=True,
+    )
+    stream.log("sheets/convergence/figures", figures, static=True)
+    ring = rr.Points2D.from_fields(colors=[OBSERVED], radii=screen_radius(8.0), draw_order=10.0)
+    stream.log("sheets/convergence/current", ring, static=True)
+    for index, shown in by_iteration(count, first_s):
+        columns = rr.Points2D.columns(positions=dots[shown])
+        stream.send_columns("sheets/convergence/current", indexes=[index], columns=columns)
+
+
+def iterates_view(iterates: Iterates) -> rrb.View:
+    """The parameter by iteration, the current one ringed, the result's interval as a band."""
+    title = f"{quantity(iterates.parameter, iterates.unit)} by iteration"
+    if iterates.interval95 is not None:
+        title += f", band: 95 %, {interval_words(*iterates.interval95)}"
+    return chart_view("convergence", title)

@@ -7,9 +7,9 @@ from contextlib import suppress
 import numpy as np
 import rerun as rr
 
+from analysis.record import Tuning
 from analysis.review.drawing import at_seconds
 from analysis.tracking.pictures import readable_frames
-from analysis.tuning_result import Tuning
 from tunenet_logs.episode import Frame
 from tunenet_logs.errors import LogError
 

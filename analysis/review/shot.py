@@ -14,11 +14,10 @@ import rerun.blueprint as rrb
 
 from analysis.planning.plan import Plan
 from analysis.planning.plan_report import best_lines
-from analysis.review.charts import WIDTH, chart_view, log_grid, ticks
-from analysis.review.drawing import GROUND, Color, screen_radius
+from analysis.review.drawing import GROUND, WIDTH, Color, chart_view, log_grid, screen_radius, ticks
 from recorders.simulators.shot.flight import STEP_S
 from tunenet_logs.arrays import Array
-from tunenet_logs.text import one_line
+from tunenet_logs.terminal import one_line
 
 SHOT_TIME = "shot_time_s"
 """The timeline that plays: seconds since the ball was let go."""

@@ -14,13 +14,12 @@ from pathlib import Path
 import rerun as rr
 import rerun.blueprint as rrb
 
-from analysis.record import Record
+from analysis.record import Record, Tuning
+from analysis.report import result_words
 from analysis.result_files import review_name
 from analysis.review.drawing import LOG_TIME, entity_of, send_scalars
 from analysis.review.pictures import log_recorded_film
-from analysis.review.words import result_words
-from analysis.tuning_result import Tuning
-from tunenet_logs.text import one_line
+from tunenet_logs.terminal import one_line
 
 _MOST_CURVES = 150
 """Of a log in which nothing was found: more can neither be told apart nor be loaded soon."""

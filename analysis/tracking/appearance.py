@@ -1,10 +1,6 @@
-"""Where the ball is to a small part of a pixel: its own picture over the background, fitted.
+"""How the ball looks, learnt from pictures in which its position is about known.
 
-A pixel is background B and ball P in the fractions that the outline gives: (1 - a) B + a P. The
-ball's picture moves, grows and takes more or less light until that is what is seen: Lucas and
-Kanade's alignment by Gauss-Newton steps. A ball that looks like a part of what is behind it, its
-shadow, its reflection and a hand that holds it hardly move its centre: they are residuals, and
-large ones count little (Geman and McClure's weights, at first wide).
+Its radius, its picture and its exact positions are found in turn, to a small part of a pixel.
 """
 
 from __future__ import annotations
@@ -16,24 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from analysis.tracking.background import Background, FloatPicture
-from analysis.tracking.drawn_ball import DrawnBall, Patch, cut_patch, draw_ball
+from analysis.tracking.drawn_ball import NARROW, Patch, best_start, cut_patch, fit_ball
 from tunenet_logs.arrays import Array, Picture
 
-FINE_PX = 9.0
+_FINE_PX = 9.0
 """A larger ball is reduced to that radius before it is fitted."""
-
-_MOST_STEPS = 10
-_ENOUGH_PX = 0.03
-"""Most Gauss-Newton steps, and one that ends them: OpenCV moves pictures by whole 32nds of a
-pixel."""
-
-_LONGEST_STEP, _MOST_GROWTH = 0.4, 0.1
-"""Of one step: in ball radii, and in the logarithm of its size. Farther off, the Jacobian is
-different."""
-
-_LEAST_CURVATURE = 1e-3
-"""Added to the normal matrix for x and y, so that a ball without contrast does not make it
-singular."""
 
 _NEAR_START = 0.25
 """Ball radii: a fit that moved farther is run once more from where it ended, at first wide."""
@@ -47,42 +30,38 @@ _FAR_WORSE = 1.5
 _MOST_MOVED, _MOST_MOVED_PX = 1.2, 2.0
 """Ball radii, and px more, from a start to its fit: what is farther off has another start."""
 
-_LARGE, _LARGE_FRACTION, _STRICTER = 30.0, 0.35, 0.65
-"""Residuals that count little: above 30 (of 255) or that fraction of the ball's contrast, whichever
-is more. At first only larger ones, the bound times 0.65 a step, or the edge would have no
-gradient."""
-
-_WIDE, _NARROW = 4.0, 1.6
-"""Factors of that bound at first: from a start that may be far off, and from one about right."""
-
 _SURE = 0.12
 """Misfit up to which the start was about right."""
 
-_PRIOR = np.diag([0.0, 0.0, 0.25**-2, 0.2**-2, 0.2**-2, 0.2**-2])
-"""Inverse variances of the values that are fitted. Standard deviations: .25 of the logarithm of the
-size, .2 of the light, as a whole, to the right and downward; of x and y nothing is known."""
+_LEAST_SAMPLES = 3
+"""Pictures of the ball: the median of fewer is one of them, with what was behind it."""
 
-_SURROUNDINGS = 5.0
-"""Ball radii around a position in which to look for what is like the ball."""
+_ROUNDS = 4
+_SETTLED = 0.01
+"""Of learning how it looks and fitting that: most of them, and a relative change of the radius that
+ends them."""
 
-_COARSE_PX = 4.0
-"""Radius to which a larger ball is reduced to look there; also, in reduced pixels, how far
-apart the places are that are found."""
+_FIRST_RADIUS = 0.7
+"""Quantile of the radii of what moved: a part of the ball may look like the background."""
 
-_LIKELIEST = 2
-"""Places there: a shadow or a reflection may be more like the ball than the ball."""
+_PATCH = 1.3
+"""Radii of patches over that of the ball: it may be larger than it was thought."""
 
-_STARTS = (
-    (0, 0, 0.0),
-    (1, 0, 0.0),
-    (-1, 0, 0.0),
-    (0, 1, 0.0),
-    (0, -1, 0.0),
-    (0, 0, 0.2),
-    (0, 0, -0.2),
-)
-_START_STEP = 0.45
-"""Starts around a given one: steps right and down, each .45 ball radii, and growth (logarithm)."""
+_TRANSITION_PX = 1.2
+"""From the outline inward: the colour there is half the background's."""
+
+_TELLING = 400.0
+"""Squared difference of two colours (0 to 255, summed over RGB), 12 in each channel: with less, it
+cannot be said how much of a pixel is ball."""
+
+_RING_PX = 0.5
+"""Half the width of a ring, and the step from one to the next."""
+
+_LEAST_IN_RING = 4
+"""Pixels of a ring that make a median."""
+
+_LEAST_CHANGE, _MOST_CHANGE = 0.75, 1.35
+"""Least and most of the outline's radius over the last one: the patch shows no more."""
 
 
 @dataclass(frozen=True)
@@ -144,118 +123,151 @@ class Appearance:
         patch = cut_patch(picture, background, gain, (x, y), self.radius_px * grown, self.zoom)
         if patch is None:
             return None
+        radius = self.radius_px * self.zoom
         start = np.array([*patch.here(x, y), np.log(grown), 0.0, 0.0, 0.0])
-        values, misfit = self.fit(patch, start, np.log(grown), _NARROW)
+        values, misfit = fit_ball(self.layers, radius, patch, start, np.log(grown), NARROW)
         if misfit > _SURE:
             here = patch.there(values[0], values[1])
             if any(misfit > _FAR_WORSE * fit.misfit or fit.is_near(*here) for fit in known):
                 return None
-            start = self.nearest(patch, start)
-            values, misfit = self.fit(patch, start, np.log(grown))
-        if np.hypot(*(values - start)[:2]) > _NEAR_START * self.radius_px * self.zoom:
-            values, misfit = self.fit(patch, values, np.log(grown))  # it was a long way
+            start = best_start(self.layers, radius, patch, start)
+            values, misfit = fit_ball(self.layers, radius, patch, start, np.log(grown))
+        if np.hypot(*(values - start)[:2]) > _NEAR_START * radius:  # it was a long way
+            values, misfit = fit_ball(self.layers, radius, patch, values, np.log(grown))
         px, py = patch.there(values[0], values[1])
         if np.hypot(px - x, py - y) > _MOST_MOVED * self.radius_px * grown + _MOST_MOVED_PX:
             return None
         return Placing(px, py, self.radius_px * float(np.exp(values[2])), misfit)
 
-    def alike(self, picture: Picture, x: float, y: float) -> list[tuple[float, float]]:
-        """Where near a position the picture is most like the ball, the best first: x and y [px].
 
-        By template matching of the masked ball, squared differences, in a reduced picture.
-        """
-        import cv2
+def learn_appearance(
+    samples: Sequence[Picture], background: Background, places_px: Array, areas_px: Array
+) -> Appearance | None:
+    """Learn the ball's picture and radius, in turn with its exact positions.
 
-        half = int(np.ceil(_SURROUNDINGS * self.radius_px)) + 2
-        left, top = max(round(x) - half, 0), max(round(y) - half, 0)
-        part = picture[top : max(round(y) + half + 1, 0), left : max(round(x) + half + 1, 0)]
-        coarse = min(1.0, _COARSE_PX / self.radius_px)
-        own = self.layers
-        side = max(3, round(own.shape[0] * (coarse / self.zoom)))
-        if side < own.shape[0]:
-            reduced = cv2.resize(own, (side, side), interpolation=cv2.INTER_AREA)
-            own = np.asarray(reduced, np.float32)
-        size = (round(part.shape[1] * coarse), round(part.shape[0] * coarse))
-        if min(size) <= own.shape[0]:
-            return []
-        small = np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_AREA), np.float32)
-        fraction = np.repeat(own[:, :, 3:], 3, axis=2)
-        colours = own[:, :, :3] / np.maximum(fraction, 1e-3)
-        off = np.array(cv2.matchTemplate(small, colours, cv2.TM_SQDIFF, mask=fraction))
-        found = []
-        middle = (own.shape[0] - 1) / 2
-        near = int(_COARSE_PX)
-        for _ in range(_LIKELIEST):
-            row, column = np.unravel_index(int(off.argmin()), off.shape)
-            x_px = (column + middle + 0.5) / coarse - 0.5 + left
-            y_px = (row + middle + 0.5) / coarse - 0.5 + top
-            found.append((x_px, y_px))
-            rows = slice(max(row - near, 0), row + near + 1)
-            off[rows, max(column - near, 0) : column + near + 1] = np.inf
-        return found
+    Args:
+        samples: N pictures, RGB, shape (H, W, 3) each.
+        background: without the ball.
+        places_px: where the ball is in each, shape (N, 2); NaN where that is not known.
+        areas_px: how large it is there [px²], shape (N,).
 
-    def nearest(self, patch: Patch, start: Array) -> Array:
-        """The best of a few starts around, for one that is off by a part of the ball.
+    Returns:
+        None where it is seen too seldom.
+    """
+    known = np.flatnonzero(np.isfinite(places_px[:, 0]) & np.isfinite(areas_px))
+    if len(known) < _LEAST_SAMPLES:
+        return None
+    radius = float(np.quantile(np.sqrt(areas_px[known] / np.pi), _FIRST_RADIUS))
+    positions = {int(at): (float(places_px[at, 0]), float(places_px[at, 1]), 0.0) for at in known}
+    gains = {at: background.gain(samples[at]) for at in positions}
+    ball: Appearance | None = None
+    for turn in range(_ROUNDS):
+        zoom = min(1.0, _FINE_PX / radius)
+        patches, starts, used = [], [], []
+        for at, (x, y, growth) in positions.items():
+            patch = cut_patch(samples[at], background, gains[at], (x, y), _PATCH * radius, zoom)
+            if patch is not None:
+                patches.append(patch)
+                starts.append(np.array([*patch.here(x, y), growth, 0.0, 0.0, 0.0]))
+                used.append(at)
+        if len(patches) < _LEAST_SAMPLES:
+            return None
+        before, ball = ball, Appearance(_layers(patches, starts, radius * zoom), radius, zoom)
+        if before is not None and abs(before.radius_px / radius - 1) < _SETTLED:
+            return ball
+        fitted = [
+            fit_ball(
+                ball.layers,
+                radius * zoom,
+                patch,
+                start if turn > 1 else best_start(ball.layers, radius * zoom, patch, start),
+                0.0,
+            )[0]
+            for patch, start in zip(patches, starts, strict=True)
+        ]
+        middle = float(np.median([values[2] for values in fitted]))
+        for values in fitted:
+            values[2] -= middle
+        radius = _outline(patches, fitted, radius * zoom) * float(np.exp(middle)) / zoom
+        for at, patch, values in zip(used, patches, fitted, strict=True):
+            positions[at] = (*patch.there(values[0], values[1]), float(values[2]))
+    return ball
 
-        Args:
-            patch: where.
-            start: see `draw_ball`, shape (6,).
-        """
-        step = _START_STEP * self.radius_px * self.zoom
-        tried = []
-        for right, down, growth in _STARTS:
-            values = start + np.array([right * step, down * step, growth, 0.0, 0.0, 0.0])
-            drawn = self._drawn(patch, values)
-            off = patch.bare if drawn is None else drawn.squared(patch)
-            tried.append((float((off / (off + _LARGE**2)).sum()), values))
-        return min(tried, key=lambda pair: pair[0])[1]
 
-    def _drawn(self, patch: Patch, values: Array) -> DrawnBall | None:
-        return draw_ball(self.layers, self.radius_px * self.zoom, patch, values)
+def _layers(patches: Sequence[Patch], fits: Sequence[Array], radius: float) -> FloatPicture:
+    """The median of what is seen, inside a disc with smooth edges; see `Appearance.layers`."""
+    side = 2 * int(np.ceil(radius + 2)) + 1
+    seen = np.stack(
+        [_straightened(patch.seen, fit, side) for patch, fit in zip(patches, fits, strict=True)]
+    )
+    colours = np.median(seen, axis=0)
+    y, x = np.mgrid[:side, :side] - (side - 1) / 2
+    apart = np.hypot(x, y)
+    fraction = np.clip(radius + 0.5 - apart, 0, 1)[:, :, None]
+    # The colour at the edge is half background's: that of the ring within goes on to the edge.
+    ring = np.maximum(apart, 1e-6)
+    inward = np.minimum(1.0, max(radius - _TRANSITION_PX, 0.5) / ring)
+    rows = np.clip(np.round(y * inward + (side - 1) / 2).astype(int), 0, side - 1)
+    columns = np.clip(np.round(x * inward + (side - 1) / 2).astype(int), 0, side - 1)
+    return np.concatenate([colours[rows, columns] * fraction, fraction], axis=2).astype(np.float32)
 
-    def fit(
-        self, patch: Patch, start: Array, growth: float, at_first: float = _WIDE
-    ) -> tuple[Array, float]:
-        """Runs Gauss-Newton steps in x, y, the logarithm of the size, and the light on the ball.
 
-        Each re-estimates the noise, and weighs residuals by Geman and McClure's function.
+def _outline(patches: Sequence[Patch], fits: Sequence[Array], radius: float) -> float:
+    """The ball's radius in its own pixels: to where as often as not it is what differs."""
+    side = 2 * int(np.ceil(1.6 * radius + 3)) + 1
+    y, x = np.mgrid[:side, :side] - (side - 1) / 2
+    apart = np.hypot(x, y)
+    inner = np.median(
+        [
+            _straightened(patch.seen, fit, side)[apart < 0.8 * radius]
+            for patch, fit in zip(patches, fits, strict=True)
+        ],
+        axis=0,
+    ).mean(axis=0)
+    fractions = []
+    for patch, fit in zip(patches, fits, strict=True):
+        seen, behind = _straightened(patch.seen, fit, side), _straightened(patch.behind, fit, side)
+        towards = inner - behind
+        size = (towards**2).sum(axis=2)
+        fraction = ((seen - behind) * towards).sum(axis=2) / (size + 1.0)
+        fractions.append(np.where(size > _TELLING, np.clip(fraction, 0, 1), np.nan))
+    with np.errstate(invalid="ignore"):
+        stack = np.array(fractions)
+        enough = np.isfinite(stack).sum(axis=0) >= min(_LEAST_SAMPLES, len(stack))
+        middle = np.where(enough, np.nanmedian(np.where(enough, stack, 0.0), axis=0), np.nan)
+    rings = np.arange(0.5 * radius, 1.5 * radius + 1, _RING_PX)
+    profile = []
+    for ring in rings:
+        values = middle[np.abs(apart - ring) < _RING_PX]
+        values = values[np.isfinite(values)]
+        profile.append(float(np.median(values)) if len(values) >= _LEAST_IN_RING else np.nan)
+    known = np.isfinite(profile)
+    below = np.flatnonzero(known & (np.array(profile) < 0.5))
+    if not len(below) or below[0] == 0:
+        return radius
+    at = int(below[0])
+    high, low = profile[at - 1], profile[at]
+    part = (high - 0.5) / (high - low) if np.isfinite(high) and high > low else 0.5
+    outline = rings[at - 1] + _RING_PX * part
+    return float(np.clip(outline, _LEAST_CHANGE * radius, _MOST_CHANGE * radius))
 
-        Args:
-            patch: where.
-            start: values as `draw_ball` takes them, shape (6,).
-            growth: mean of the prior on the logarithm of the size.
-            at_first: factor of the residuals that count little, before the first step.
 
-        Returns:
-            The values, shape (6,), and their misfit (see `Placing`).
-        """
-        values = start.copy()
-        expected = np.array([0.0, 0.0, growth, 0.0, 0.0, 0.0])
-        radius = self.radius_px * self.zoom
-        drawn = self._drawn(patch, values)
-        if drawn is None:
-            return values, np.inf
-        strict = max(_LARGE, _LARGE_FRACTION * drawn.contrast(patch))
-        for turn in range(_MOST_STEPS):
-            squared = drawn.squared(patch)
-            large = strict * max(1.0, at_first * _STRICTER**turn)
-            weight = patch.inside / (1 + squared / np.float32(large**2)) ** 2
-            jacobian = drawn.jacobian(radius)
-            weighted = (jacobian * weight[drawn.box][:, :, None]).reshape(6, -1)
-            normal = (weighted @ jacobian.reshape(6, -1).T).astype(np.float64)
-            towards = (weighted @ drawn.off.reshape(-1)).astype(np.float64)
-            noise = max(float((weight * squared).sum() / (weight.sum() + 1e-9)), 1.0)
-            normal += 3 * noise * _PRIOR  # a pixel's three colours err alike: as one
-            towards -= 3 * noise * _PRIOR @ (values - expected)
-            normal[0, 0] += _LEAST_CURVATURE
-            normal[1, 1] += _LEAST_CURVATURE
-            step = np.linalg.solve(normal, towards)
-            step[:2] *= min(1.0, _LONGEST_STEP * radius / (float(np.hypot(*step[:2])) + 1e-9))
-            step[2] = min(max(step[2], -_MOST_GROWTH), _MOST_GROWTH)
-            values = values + step
-            drawn = self._drawn(patch, values)
-            if drawn is None:
-                return values, np.inf
-            if large == strict and np.abs(step[:2]).max() < _ENOUGH_PX:
-                break
-        return values, drawn.misfit(patch)
+def _straightened(picture: FloatPicture, values: Array, side: int) -> FloatPicture:
+    """A patch with the ball in its middle and at its usual size.
+
+    Args:
+        picture: `seen` or `behind` of a patch, shape (N, N, 3).
+        values: where the ball is, see `draw_ball`; shape (6,).
+        side: pixels of the result, shape (side, side, 3).
+    """
+    import cv2
+
+    x, y, growth = values[:3]
+    grow = float(np.exp(growth))
+    middle = (side - 1) / 2
+    turn = np.array([[grow, 0.0, x - grow * middle], [0.0, grow, y - grow * middle]])
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    straight = cv2.warpAffine(
+        picture, turn, (side, side), flags=flags, borderMode=cv2.BORDER_REPLICATE
+    )
+    return np.asarray(straight, np.float32)

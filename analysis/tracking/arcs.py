@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from analysis.tracking.candidates import Candidates
 from tunenet_logs.arrays import Array
+from tunenet_logs.errors import NotFoundError
 
 Index = NDArray[np.intp]
 
@@ -70,6 +71,12 @@ _LEAST_SAG_PX, _LEAST_SAG = 2.0, 0.3
 _MOST_SIDEWAYS = 0.7
 """Of the acceleration downward: a camera is turned by less than 35° from one of four directions."""
 
+SLACK_PX = 2.0
+"""Added to distances that a small ball's radius bounds: its position is no better than that."""
+
+_LEAST_NEAR = 3
+"""Pictures of a flight in which the ball is found again: they define a parabola."""
+
 _DIRECTIONS = (((0.0, 1.0), 2.0), ((0.0, -1.0), 1.0), ((1.0, 0.0), 1.0), ((-1.0, 0.0), 1.0))
 """Where down may be in a picture (x, y), and how much that is favoured: films are seldom turned."""
 
@@ -102,12 +109,24 @@ def longest_arc(table: Candidates, least_frames: int = LEAST_FRAMES) -> Arc | No
     if not table.areas_px.size:
         return None
     seeds, bends = _accelerated_triples(table)
-    found = [
-        (_longest_towards(table, seeds, bends, np.array(down), least_frames), factor)
-        for down, factor in _DIRECTIONS
-    ]
-    scored = [(factor * _score(table, arc), arc) for arc, factor in found if arc is not None]
-    return max(scored, key=lambda pair: pair[0])[1] if scored else None
+    best, best_score = None, 0.0
+    for down, factor in _DIRECTIONS:
+        down_px = np.array(down)
+        towards = bends @ down_px
+        sideways = np.abs(bends @ np.array([down_px[1], -down_px[0]]))
+        falling = seeds[(towards > _LEAST_BEND_PX) & (towards > sideways)]
+        tried: dict[bytes, tuple[float, int]] = {}
+        for index, seed in enumerate(falling[:_MOST_SEEDS]):
+            arc = _grow(table, seed, 1)
+            if arc is not None and len(arc.frames) >= _LEAST_GROWN:
+                tried[arc.frames.tobytes() + arc.chosen.tobytes()] = (_score(table, arc), index)
+        for _, index in sorted(tried.values(), reverse=True)[:_FINALISTS]:
+            arc = _grow(table, falling[index], 4)
+            if arc and _is_flight(table, arc, down_px, least_frames):
+                score = factor * _score(table, arc)
+                if score > best_score:
+                    best, best_score = arc, score
+    return best
 
 
 def _accelerated_triples(table: Candidates) -> tuple[Index, Array]:
@@ -185,25 +204,6 @@ def _tolerance_px(area_px: Array | float) -> Array | float:
     return 1.0 + 0.35 * np.sqrt(np.asarray(area_px) / np.pi)
 
 
-def _longest_towards(
-    table: Candidates, seeds: Index, bends: Array, down: Array, least_frames: int
-) -> Arc | None:
-    towards = bends @ down
-    sideways = np.abs(bends @ np.array([down[1], -down[0]]))
-    seeds = seeds[(towards > _LEAST_BEND_PX) & (towards > sideways)]
-    tried: dict[bytes, tuple[float, int]] = {}
-    for index, seed in enumerate(seeds[:_MOST_SEEDS]):
-        arc = _grow(table, seed, 1)
-        if arc is not None and len(arc.frames) >= _LEAST_GROWN:
-            tried[arc.frames.tobytes() + arc.chosen.tobytes()] = (_score(table, arc), index)
-    best, best_score = None, 0.0
-    for _, index in sorted(tried.values(), reverse=True)[:_FINALISTS]:
-        arc = _grow(table, seeds[index], 4)
-        if arc and _is_flight(table, arc, down, least_frames) and _score(table, arc) > best_score:
-            best, best_score = arc, _score(table, arc)
-    return best
-
-
 def _grow(table: Candidates, seed: Index, rounds: int) -> Arc | None:
     """Extend a triple to the pictures around it that lie on its parabola, refitted each round."""
     frames, chosen = seed[:3], seed[3:]
@@ -227,7 +227,15 @@ def _grow(table: Candidates, seed: Index, rounds: int) -> Arc | None:
         off = np.where(alike & np.isfinite(off), off, np.inf)
         nearest = off.argmin(axis=1)
         hit = off[np.arange(len(window)), nearest] < tolerance
-        begin, end = _stretch(hit, int(np.searchsorted(window, frames[len(frames) // 2])))
+        begin = end = int(np.searchsorted(window, frames[len(frames) // 2]))
+        misses = 0
+        while begin > 0 and misses < _MOST_MISSES:
+            begin -= 1
+            misses = 0 if hit[begin] else misses + 1
+        misses = 0
+        while end < len(hit) and misses < _MOST_MISSES:
+            misses = 0 if hit[end] else misses + 1
+            end += 1
         kept = np.arange(begin, end)[hit[begin:end]]
         if len(kept) < _LEAST_POINTS:
             return None
@@ -258,19 +266,6 @@ def _score(table: Candidates, arc: Arc) -> float:
     )
 
 
-def _stretch(hit: NDArray[np.bool_], at: int) -> tuple[int, int]:
-    """The stretch around `at` without `_MOST_MISSES` in a row."""
-    begin, misses = at, 0
-    while begin > 0 and misses < _MOST_MISSES:
-        begin -= 1
-        misses = 0 if hit[begin] else misses + 1
-    end, misses = at, 0
-    while end < len(hit) and misses < _MOST_MISSES:
-        misses = 0 if hit[end] else misses + 1
-        end += 1
-    return begin, end
-
-
 def _is_flight(table: Candidates, arc: Arc, down: Array, least_frames: int) -> bool:
     """Whether it falls: no faster than a ball of its size, far enough, and nearly downward."""
     if len(arc.frames) < least_frames:
@@ -285,3 +280,26 @@ def _is_flight(table: Candidates, arc: Arc, down: Array, least_frames: int) -> b
     return sag > _LEAST_SAG_PX + _LEAST_SAG * radius and (
         sideways < _MOST_SIDEWAYS * float(arc.gravity_px @ down)
     )
+
+
+def same_arc(table: Candidates, arc: Arc, positions_px: Array) -> Arc:
+    """The flight among new candidates.
+
+    Args:
+        table: those of T pictures.
+        arc: the flight; its candidates are no longer those of the table.
+        positions_px: where the ball was seen before, shape (T, 2).
+
+    Raises:
+        NotFoundError: they do not follow it.
+    """
+    apart = np.linalg.norm(table.places_px[arc.frames] - positions_px[arc.frames][:, None], axis=2)
+    apart = np.where(np.isfinite(apart), apart, np.inf)
+    if not apart.size:
+        raise NotFoundError("the ball looks like what is behind it (mark it with --hsv)")
+    nearest = apart.argmin(axis=1)
+    area = float(np.nanmedian(table.areas_px[arc.frames, nearest]))
+    near = apart[np.arange(len(nearest)), nearest] < SLACK_PX + np.sqrt(area / np.pi)
+    if near.sum() < _LEAST_NEAR:
+        raise NotFoundError("the ball looks like what is behind it (mark it with --hsv)")
+    return Arc(arc.frames[near], nearest[near], arc.gravity_px)

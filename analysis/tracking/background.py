@@ -78,13 +78,36 @@ class Background:
         return float(np.median(mine[lit] / theirs[lit])) if lit.sum() > _LEAST_LIT else 1.0
 
 
-def still_background(samples: Sequence[Picture]) -> Background:
-    """The median of pictures from all over the recording.
+def still_background(
+    samples: Sequence[Picture], maybe_px: Sequence[Array] = (), radius_px: float = 0.0
+) -> Background:
+    """The median of pictures from all over the recording, and thresholds from their spread.
+
+    Of each pixel the spread is the median absolute deviation of its smooth colours, the largest of
+    three by three pixels: the camera may shake.
 
     Args:
         samples: uint8, shape (H, W, 3) each.
+        maybe_px: where the ball may be in each sample, shape (K, 2), NaN for nowhere: it is left
+            out there, for it may rest in one place for long. Empty to leave out nothing.
+        radius_px: of what is left out.
     """
-    return _background(*_median_and_spread(samples))
+    import cv2
+
+    median = np.empty(samples[0].shape, np.uint8)
+    spread = np.empty(median.shape[:2], np.float32)
+    for top in range(0, len(median), _STRIP_ROWS):
+        strip = slice(top, top + _STRIP_ROWS)
+        values = [sample[strip] for sample in samples]
+        median[strip] = middle = middle_of(values)
+        still = _smooth(middle)
+        spread[strip] = middle_of([_largest_difference(_smooth(part), still) for part in values])
+    if any(np.isfinite(where[:, 0]).any() for where in maybe_px):
+        _leave_out(median, spread, samples, maybe_px, radius_px)
+    widened = np.asarray(cv2.dilate(spread, np.ones((3, 3), np.uint8)))
+    wanted = np.maximum(_NOISE_FACTOR * _SD_OF_MAD * widened, _LEAST_DIFFERENCE)
+    threshold = np.minimum(wanted, 255).astype(np.uint8)
+    return Background(median, _smooth(median), threshold)
 
 
 def halved_background(samples: Sequence[Picture]) -> Background:
@@ -102,19 +125,6 @@ def halved_background(samples: Sequence[Picture]) -> Background:
     middle = len(samples) // 2
     first, second = (_smooth(middle_of(half)) for half in (samples[:middle], samples[middle:]))
     return replace(whole, smooth=first, later=second)
-
-
-def _median_and_spread(samples: Sequence[Picture]) -> tuple[Picture, FloatPicture]:
-    """Of each pixel: its median, and the median absolute deviation of its smooth colours."""
-    median = np.empty(samples[0].shape, np.uint8)
-    spread = np.empty(median.shape[:2], np.float32)
-    for top in range(0, len(median), _STRIP_ROWS):
-        strip = slice(top, top + _STRIP_ROWS)
-        values = [sample[strip] for sample in samples]
-        median[strip] = middle = middle_of(values)
-        still = _smooth(middle)
-        spread[strip] = middle_of([_largest_difference(_smooth(part), still) for part in values])
-    return median, spread
 
 
 def middle_of(stack: Sequence[Picture]) -> Picture:
@@ -141,21 +151,16 @@ def middle_of(stack: Sequence[Picture]) -> Picture:
     return rows[(count - 1) // 2]
 
 
-def without_ball(
-    samples: Sequence[Picture], maybe_px: Sequence[Array], radius_px: float
-) -> Background:
-    """The background with the ball left out of each sample: it may rest in one place for long.
-
-    Args:
-        samples: uint8, shape (H, W, 3) each.
-        maybe_px: where the ball may be in each, shape (K, 2); NaN for nowhere.
-        radius_px: of what to leave out.
-    """
-    picture, spread = _median_and_spread(samples)
+def _leave_out(
+    picture: Picture,
+    spread: FloatPicture,
+    samples: Sequence[Picture],
+    maybe_px: Sequence[Array],
+    radius_px: float,
+) -> None:
+    """Replace median and spread where the ball may be in a sample by those of the other samples."""
     height, width = picture.shape[:2]
     known = np.concatenate([where[np.isfinite(where[:, 0])] for where in maybe_px])
-    if not len(known):
-        return _background(picture, spread)
     left, top = np.clip(np.floor(known.min(axis=0) - radius_px).astype(int), 0, [width, height])
     right, bottom = np.clip(
         np.ceil(known.max(axis=0) + radius_px).astype(int) + 1, 0, [width, height]
@@ -178,7 +183,6 @@ def without_ball(
         off = np.abs(values - middle).max(axis=2) / _SMOOTHER
         off.sort(axis=0)
         spread[pixels] = np.take_along_axis(off, median_row[None], 0)[0]
-    return _background(picture, spread)
 
 
 def _smooth(picture: Picture) -> Picture:
@@ -194,13 +198,3 @@ def _largest_difference(picture: Picture, still: Picture) -> Picture:
 
     red, green, blue = cv2.split(np.asarray(cv2.absdiff(picture, still), np.uint8))
     return np.asarray(cv2.max(cv2.max(red, green), blue), np.uint8)
-
-
-def _background(picture: Picture, spread: FloatPicture) -> Background:
-    """With thresholds from the spread of each pixel and its neighbours: the camera may shake."""
-    import cv2
-
-    widened = np.asarray(cv2.dilate(spread, np.ones((3, 3), np.uint8)))
-    wanted = np.maximum(_NOISE_FACTOR * _SD_OF_MAD * widened, _LEAST_DIFFERENCE)
-    threshold = np.minimum(wanted, 255).astype(np.uint8)
-    return Background(picture, _smooth(picture), threshold)

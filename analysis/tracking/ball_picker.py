@@ -13,7 +13,7 @@ from typing import Any
 from analysis.tracking.thumbnails import Album, album_of
 from recorders.loopback_page import Answer, LoopbackPage, as_json, place_in
 from tunenet_logs.episode import Episode
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 Mark = tuple[float, float, float]
 """Where the ball is: x, y [px] as `Hints.ball_at` counts them, and seconds since the topic's first

@@ -60,9 +60,6 @@ class Blobs:
     whole: NDArray[np.bool_]
     misfits: Array
 
-    def __len__(self) -> int:
-        return len(self.areas_px)
-
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
@@ -87,18 +84,19 @@ class Candidates:
     @classmethod
     def of(cls, seconds: Array, blobs: Sequence[Blobs]) -> Candidates:
         """Put the blobs of T pictures, taken at `seconds` (shape (T,)), into one table."""
-        most = max((len(found) for found in blobs), default=0)
+        most = max((len(found.areas_px) for found in blobs), default=0)
         positions = np.full((len(blobs), most, 2), np.nan)
         areas = np.full((len(blobs), most), np.nan)
         colours = np.full((len(blobs), most, 3), np.nan)
         whole = np.zeros((len(blobs), most), dtype=bool)
         misfits = np.zeros((len(blobs), most))
         for row, found in enumerate(blobs):
-            positions[row, : len(found)] = found.places_px
-            areas[row, : len(found)] = found.areas_px
-            colours[row, : len(found)] = found.colours
-            whole[row, : len(found)] = found.whole
-            misfits[row, : len(found)] = found.misfits
+            count = len(found.areas_px)
+            positions[row, :count] = found.places_px
+            areas[row, :count] = found.areas_px
+            colours[row, :count] = found.colours
+            whole[row, :count] = found.whole
+            misfits[row, :count] = found.misfits
         return cls(seconds, positions, areas, colours, whole, misfits)
 
     def inside(self) -> Candidates:
@@ -251,3 +249,18 @@ def _components(picture: Picture, mask: Picture, weight: NDArray[np.float32] | P
     table = np.array(rows[:_MOST], np.float64).reshape(-1, 8)
     none = np.zeros(len(table))
     return Blobs(table[:, 1:3], table[:, 3], table[:, 4:7], table[:, 7] > 0, none)
+
+
+def picked(values: Array, chosen: NDArray[np.intp]) -> Array:
+    """The chosen candidate's value in each picture; NaN for none.
+
+    Args:
+        values: of M candidates in T pictures, shape (T, M) or (T, M, K).
+        chosen: number of one, or -1, shape (T,).
+
+    Returns:
+        Shape (T,) or (T, K).
+    """
+    found = values[np.arange(len(chosen)), np.maximum(chosen, 0)].astype(np.float64)
+    found[chosen < 0] = np.nan
+    return found

@@ -1,9 +1,15 @@
-"""The ball drawn into a small part of a picture: what would be seen, the residual, its Jacobian."""
+"""The ball drawn into a small part of a picture, and fitted to it.
+
+A pixel is background B and ball P in the fractions that the outline gives: (1 - a) B + a P. The
+ball's picture moves, grows and takes more or less light until that is what is seen: Lucas and
+Kanade's alignment by Gauss-Newton steps. A ball that looks like a part of what is behind it, its
+shadow, its reflection and a hand that holds it hardly move its centre: they are residuals, and
+large ones count little (Geman and McClure's weights, at first wide).
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +28,43 @@ _NOISE = 4.0
 
 _MARGIN_PX = 4
 """Around the ball: its edge is soft, and grows with it."""
+
+_MOST_STEPS = 10
+_ENOUGH_PX = 0.03
+"""Most Gauss-Newton steps, and one that ends them: OpenCV moves pictures by whole 32nds of a
+pixel."""
+
+_LONGEST_STEP, _MOST_GROWTH = 0.4, 0.1
+"""Of one step: in ball radii, and in the logarithm of its size. Farther off, the Jacobian is
+different."""
+
+_LEAST_CURVATURE = 1e-3
+"""Added to the normal matrix for x and y, so that a ball without contrast does not make it
+singular."""
+
+_LARGE, _LARGE_FRACTION, _STRICTER = 30.0, 0.35, 0.65
+"""Residuals that count little: above 30 (of 255) or that fraction of the ball's contrast, whichever
+is more. At first only larger ones, the bound times 0.65 a step, or the edge would have no
+gradient."""
+
+_PRIOR = np.diag([0.0, 0.0, 0.25**-2, 0.2**-2, 0.2**-2, 0.2**-2])
+"""Inverse variances of the values that are fitted. Standard deviations: .25 of the logarithm of the
+size, .2 of the light, as a whole, to the right and downward; of x and y nothing is known."""
+
+_STARTS = (
+    (0, 0, 0.0),
+    (1, 0, 0.0),
+    (-1, 0, 0.0),
+    (0, 1, 0.0),
+    (0, -1, 0.0),
+    (0, 0, 0.2),
+    (0, 0, -0.2),
+)
+_START_STEP = 0.45
+"""Starts around a given one: steps right and down, each .45 ball radii, and growth (logarithm)."""
+
+_WIDE, NARROW = 4.0, 1.6
+"""Factors of that bound at first: from a start that may be far off, and from one about right."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +116,8 @@ def cut_patch(
         radius_px: of the ball.
         zoom: about the patch's pixels per pixel of the picture, at most 1.
     """
+    import cv2
+
     half = int(np.ceil(_REACH * radius_px)) + 3
     height, width = picture.shape[:2]
     left, top = round(position_px[0]) - half, round(position_px[1]) - half
@@ -88,46 +133,18 @@ def cut_patch(
     )
     small = max(5, round(side * zoom))
     inside = np.ones((box[0].stop - box[0].start, box[1].stop - box[1].start), np.float32)
-    seen, behind, shown = (
-        _reduced(part, outside, small)
-        for part in (picture[box] * np.float32(gain), background.picture[box], inside)
-    )
+    reduced: list[FloatPicture] = []
+    for part in (picture[box] * np.float32(gain), background.picture[box], inside):
+        fine = part.astype(np.float32)
+        if max(outside):
+            fine = cv2.copyMakeBorder(fine, *outside, cv2.BORDER_CONSTANT)
+        if fine.shape[0] != small:
+            fine = cv2.resize(fine, (small, small), interpolation=cv2.INTER_AREA)
+        reduced.append(np.asarray(fine, np.float32))
+    seen, behind, shown = reduced
     known = (shown > _ENTIRELY).astype(np.float32)
     bare = np.square(seen - behind).mean(axis=2) * known
     return Patch(seen, behind, known, bare, left, top, small / side)
-
-
-def _reduced(part: NDArray[Any], outside: tuple[int, int, int, int], side: int) -> FloatPicture:
-    """A part of a picture with nothing around it, as `side` by `side` pixels."""
-    import cv2
-
-    fine = part.astype(np.float32)
-    if max(outside):
-        fine = cv2.copyMakeBorder(fine, *outside, cv2.BORDER_CONSTANT)
-    if fine.shape[0] != side:
-        fine = cv2.resize(fine, (side, side), interpolation=cv2.INTER_AREA)
-    return np.asarray(fine, np.float32)
-
-
-def straightened(picture: FloatPicture, values: Array, side: int) -> FloatPicture:
-    """A patch with the ball in its middle and at its usual size.
-
-    Args:
-        picture: `seen` or `behind` of a patch, shape (N, N, 3).
-        values: where the ball is, see `draw_ball`; shape (6,).
-        side: pixels of the result, shape (side, side, 3).
-    """
-    import cv2
-
-    x, y, growth = values[:3]
-    grow = float(np.exp(growth))
-    middle = (side - 1) / 2
-    turn = np.array([[grow, 0.0, x - grow * middle], [0.0, grow, y - grow * middle]])
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    straight = cv2.warpAffine(
-        picture, turn, (side, side), flags=flags, borderMode=cv2.BORDER_REPLICATE
-    )
-    return np.asarray(straight, np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,6 +157,7 @@ class DrawnBall:
             (N, M, 4).
         behind: the background, shape (N, M, 3).
         off: residual, what is seen beyond what would be, shape (N, M, 3).
+        inside: pixels that are mostly ball and in the picture, shape (N, M).
         x, y: from the ball's middle, in its radii, shapes (1, M, 1) and (N, 1, 1).
     """
 
@@ -147,27 +165,29 @@ class DrawnBall:
     layers: FloatPicture
     behind: FloatPicture
     off: FloatPicture
+    inside: NDArray[np.bool_]
     x: FloatPicture
     y: FloatPicture
 
     def squared(self, patch: Patch) -> FloatPicture:
         """Mean squared residual of each pixel of the patch, shape of the patch."""
         whole = patch.bare.copy()
-        whole[self.box] = _mean_square(self.off)
+        whole[self.box] = np.einsum("ijk,ijk->ij", self.off, self.off) / np.float32(3)
         return whole
 
     def misfit(self, patch: Patch) -> float:
         """See `Placing`; infinite where nothing of the ball is in the picture."""
-        inside = self._inside(patch)
-        if not inside.any():
+        if not self.inside.any():
             return np.inf
-        beyond_noise = max(float(_mean_square(self.off)[inside].mean()) - _NOISE**2, 0.0)
-        return float(np.sqrt(beyond_noise)) / self.contrast(patch)
+        squared = self.squared(patch)[self.box][self.inside]
+        beyond_noise = max(float(squared.mean()) - _NOISE**2, 0.0)
+        return float(np.sqrt(beyond_noise)) / self.contrast
 
-    def contrast(self, patch: Patch) -> float:
+    @property
+    def contrast(self) -> float:
         """How far the ball stands out of the background (0 to 255), rms, at least 1."""
         fraction = self.layers[:, :, 3:]
-        stands_out = (self.layers[:, :, :3] - self.behind * fraction)[self._inside(patch)]
+        stands_out = (self.layers[:, :, :3] - self.behind * fraction)[self.inside]
         return float(np.sqrt((stands_out**2).mean() + 1.0)) if len(stands_out) else 1.0
 
     def jacobian(self, radius: float) -> FloatPicture:
@@ -188,10 +208,6 @@ class DrawnBall:
         rows[4] = colours * self.x
         rows[5] = colours * self.y
         return rows
-
-    def _inside(self, patch: Patch) -> NDArray[np.bool_]:
-        """Pixels of the box that are mostly ball and in the picture."""
-        return (self.layers[:, :, 3] > 0.5) & (patch.inside[self.box] > 0)
 
 
 def draw_ball(layers: FloatPicture, radius: float, patch: Patch, values: Array) -> DrawnBall | None:
@@ -231,9 +247,78 @@ def draw_ball(layers: FloatPicture, radius: float, patch: Patch, values: Array) 
     colours *= 1 + light + sideways * x + downward * y
     behind = patch.behind[box]
     off = (patch.seen[box] - behind * (1 - fraction) - colours) * patch.inside[box][:, :, None]
-    return DrawnBall(box, drawn, behind, off, x, y)
+    inside = (drawn[:, :, 3] > 0.5) & (patch.inside[box] > 0)
+    return DrawnBall(box, drawn, behind, off, inside, x, y)
 
 
-def _mean_square(off: FloatPicture) -> FloatPicture:
-    """Of the three colours."""
-    return np.einsum("ijk,ijk->ij", off, off) / np.float32(3)
+def best_start(layers: FloatPicture, radius: float, patch: Patch, start: Array) -> Array:
+    """The best of a few starts around, for one that is off by a part of the ball.
+
+    Args:
+        layers: see `Appearance`.
+        radius: of its outline, in pixels of the patch.
+        patch: where.
+        start: see `draw_ball`, shape (6,).
+    """
+    step = _START_STEP * radius
+    tried = []
+    for right, down, growth in _STARTS:
+        values = start + np.array([right * step, down * step, growth, 0.0, 0.0, 0.0])
+        drawn = draw_ball(layers, radius, patch, values)
+        off = patch.bare if drawn is None else drawn.squared(patch)
+        tried.append((float((off / (off + _LARGE**2)).sum()), values))
+    return min(tried, key=lambda pair: pair[0])[1]
+
+
+def fit_ball(
+    layers: FloatPicture,
+    radius: float,
+    patch: Patch,
+    start: Array,
+    growth: float,
+    at_first: float = _WIDE,
+) -> tuple[Array, float]:
+    """Runs Gauss-Newton steps in x, y, the logarithm of the size, and the light on the ball.
+
+    Each re-estimates the noise, and weighs residuals by Geman and McClure's function.
+
+    Args:
+        layers: see `Appearance`.
+        radius: of its outline, in pixels of the patch.
+        patch: where.
+        start: values as `draw_ball` takes them, shape (6,).
+        growth: mean of the prior on the logarithm of the size.
+        at_first: factor of the residuals that count little, before the first step.
+
+    Returns:
+        The values, shape (6,), and their misfit (see `Placing`).
+    """
+    values = start.copy()
+    expected = np.array([0.0, 0.0, growth, 0.0, 0.0, 0.0])
+    drawn = draw_ball(layers, radius, patch, values)
+    if drawn is None:
+        return values, np.inf
+    strict = max(_LARGE, _LARGE_FRACTION * drawn.contrast)
+    for turn in range(_MOST_STEPS):
+        squared = drawn.squared(patch)
+        large = strict * max(1.0, at_first * _STRICTER**turn)
+        weight = patch.inside / (1 + squared / np.float32(large**2)) ** 2
+        jacobian = drawn.jacobian(radius)
+        weighted = (jacobian * weight[drawn.box][:, :, None]).reshape(6, -1)
+        normal = (weighted @ jacobian.reshape(6, -1).T).astype(np.float64)
+        towards = (weighted @ drawn.off.reshape(-1)).astype(np.float64)
+        noise = max(float((weight * squared).sum() / (weight.sum() + 1e-9)), 1.0)
+        normal += 3 * noise * _PRIOR  # a pixel's three colours err alike: as one
+        towards -= 3 * noise * _PRIOR @ (values - expected)
+        normal[0, 0] += _LEAST_CURVATURE
+        normal[1, 1] += _LEAST_CURVATURE
+        step = np.linalg.solve(normal, towards)
+        step[:2] *= min(1.0, _LONGEST_STEP * radius / (float(np.hypot(*step[:2])) + 1e-9))
+        step[2] = min(max(step[2], -_MOST_GROWTH), _MOST_GROWTH)
+        values = values + step
+        drawn = draw_ball(layers, radius, patch, values)
+        if drawn is None:
+            return values, np.inf
+        if large == strict and np.abs(step[:2]).max() < _ENOUGH_PX:
+            break
+    return values, drawn.misfit(patch)

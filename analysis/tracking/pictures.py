@@ -33,7 +33,7 @@ class Pictures:
         arrivals: the same, beside the recording's own stamps, which may have come late.
         start_ns: stamp of the topic's first picture, in the part selected or not.
         length_s: from there to the topic's last picture, in the part selected or not.
-        size_px: (width, height) before reduction.
+        size_px: (width, height) before reduction, as most of the pictures claim it.
         scale: by which they are reduced, a whole number.
         other_size: number of pictures of another size than most, left out.
         opened: number of pictures of the topic that can be read, in the part selected or not.
@@ -71,7 +71,13 @@ class Pictures:
         stamps: list[int] = []
         every, reason = 1, ""
         self._kept: set[int] = set()
-        self.size_px = self._usual_size()
+        sizes: Counter[tuple[int, int]] = Counter()
+        for _, frame in self._selected():
+            with suppress(LogError):
+                sizes[frame.size_px()] += 1
+            if frame.size is not None and sizes.total() >= _MOST_SAMPLES:
+                break  # they may be a video's, and each of them decoded for this
+        self.size_px = sizes.most_common(1)[0][0] if sizes else (1, 1)
         self.scale = max(1, int(np.ceil(np.sqrt(np.prod(self.size_px) / _MOST_PIXELS))))
         for index, frame in self._selected():
             try:
@@ -160,16 +166,6 @@ class Pictures:
                 f"(the recording is {self.length_s:.2f} s long)"
             )
         return x / self.scale, y / self.scale, at_s - before_s
-
-    def _usual_size(self) -> tuple[int, int]:
-        """The size that most of the pictures claim; of bare pixels, most of the first."""
-        sizes: Counter[tuple[int, int]] = Counter()
-        for _, frame in self._selected():
-            with suppress(LogError):
-                sizes[frame.size_px()] += 1
-            if frame.size is not None and sizes.total() >= _MOST_SAMPLES:
-                break  # they may be a video's, and each of them decoded for this
-        return sizes.most_common(1)[0][0] if sizes else (1, 1)
 
     def _selected(self) -> Iterator[tuple[int, Frame]]:
         """Frames of the part selected, each with its number in the topic."""

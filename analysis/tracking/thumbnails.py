@@ -10,7 +10,7 @@ from analysis.selection import check_start
 from tunenet_logs.episode import Episode, Frame
 from tunenet_logs.errors import LogError, UsageError
 from tunenet_logs.jpeg import from_bgr, is_whole
-from tunenet_logs.progress import Bar, Progress
+from tunenet_logs.terminal import Bar, Progress
 
 MOST_BYTES = 64 * 1024 * 1024
 """Of all pictures that are kept, as JPEGs: what a browser holds without effort."""

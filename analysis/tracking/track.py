@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.selection import Hints
-from analysis.tracking.arcs import LEAST_FRAMES, Arc, longest_arc
-from analysis.tracking.background import (
-    Background,
-    halved_background,
-    still_background,
+from analysis.tracking.appearance import learn_appearance
+from analysis.tracking.arcs import LEAST_FRAMES, Arc, longest_arc, same_arc
+from analysis.tracking.background import Background, halved_background, still_background
+from analysis.tracking.candidates import Blobs, Candidates, hsv_blobs, moving_blobs, picked
+from analysis.tracking.following import (
+    LEAST_SEEN,
+    BallDetector,
+    color_and_size,
+    flight_and_rest,
+    follow,
+    is_same,
 )
-from analysis.tracking.candidates import Blobs, Candidates, hsv_blobs, moving_blobs
-from analysis.tracking.following import LEAST_SEEN, color_and_size, follow, same_arc
 from analysis.tracking.pictures import Pictures
-from analysis.tracking.redetection import picked, redetect
 from tunenet_logs.arrays import Array, Picture
 from tunenet_logs.errors import NotFoundError
 
@@ -37,6 +39,26 @@ _CONFIDENCE_COST = 8.0
 
 _EXPOSURE_S = 0.008
 """Longer ones blur a ball so much that people add light."""
+
+_GOOD = 0.4
+"""Misfit of a `Placing` up to which it tells whether the ball stands still."""
+
+_HIDDEN = 2.5
+"""Radii around the ball that the background is not learnt from: its shadow, and an error of its
+position."""
+
+_RESTS_BELOW = (0.0, 2.0, 4.0)
+"""Ball radii below the lowest place where it was followed, in which it may have come to rest."""
+
+_MISSED = 1.2
+"""A learnt radius over the first one, above which the ball stood out by a part of it alone, and too
+little was kept out of the background."""
+
+_MOVED_PX, _STOOD_PX = 1.0, 0.5
+"""Least way of a ball that moves, and most of one that stands: several times the noise."""
+
+_ONWARD = 0.8
+"""Cosine between the way that came and the one that went on: a bounce turns, flight goes on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,16 +107,15 @@ def track_ball(pictures: Pictures, hints: Hints | None = None) -> Track:
     seconds = (stamps_ns - stamps_ns[0]).astype(np.float64) * 1e-9
     allowed = pictures.allowed(hints.roi)
 
-    def candidates(find: Callable[[Picture], Blobs]) -> Candidates:
-        return Candidates.of(seconds, [find(picture) for picture in pictures])
-
     if hints.hsv is not None:
         low, high = (np.array(end) for end in hints.hsv)
-        table = candidates(lambda picture: hsv_blobs(picture, low, high, allowed))
+        blobs = [hsv_blobs(picture, low, high, allowed) for picture in pictures]
+        table = Candidates.of(seconds, blobs)
         return _track(pictures, table, _arc_of(table))
 
     def moving(background: Background) -> Candidates:
-        table = candidates(lambda picture: moving_blobs(picture, background, allowed))
+        blobs = [moving_blobs(picture, background, allowed) for picture in pictures]
+        table = Candidates.of(seconds, blobs)
         if hints.ball_at is not None:
             return _only_like(table, pictures, hints.ball_at)
         return table
@@ -104,7 +125,7 @@ def track_ball(pictures: Pictures, hints: Hints | None = None) -> Track:
     if arc is None:
         table = moving(halved_background(pictures.samples))
         arc = _arc_of(table.inside(), _FEW_FRAMES)
-    second = redetect(pictures, table, arc, allowed)
+    second = _redetect(pictures, table, arc, allowed)
     fresh = second.new_frames()
     table = second.table.some(fresh)
     kept = np.isin(arc.frames, fresh)
@@ -174,3 +195,96 @@ def _track(
         colour=(int(red), int(green), int(blue)),
         exposure_s=_EXPOSURE_S,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class Redetection:
+    """Candidates of T pictures, by how the ball looks.
+
+    Attributes:
+        table: candidates of every picture.
+        before_px: where the first look saw the ball, gaps filled, shape (T, 2).
+        unchanged: whether a picture is, around the ball, the one before once more, shape (T,).
+    """
+
+    table: Candidates
+    before_px: Array
+    unchanged: NDArray[np.bool_]
+
+    def new_frames(self) -> NDArray[np.intp]:
+        """Numbers of the pictures but those that show a moving ball where it was, once more.
+
+        Phones double pictures, and cameras freeze. A ball that lies moves neither before nor after;
+        one that bounces may be seen twice in one place, but goes back.
+        """
+        table = self.table
+        kept = np.ones(len(self.unchanged), dtype=bool)
+        if not table.areas_px.size:
+            return np.flatnonzero(kept)
+        misfits = np.where(np.isfinite(table.areas_px), table.misfits, np.inf)
+        best = misfits.argmin(axis=1)
+        rows = np.arange(len(best))
+        positions = table.places_px[rows, best].copy()
+        positions[misfits[rows, best] > _GOOD] = np.nan
+        found = np.flatnonzero(np.isfinite(positions[:, 0]))
+        edges = np.diff(np.concatenate([[False], self.unchanged, [False]]).astype(int))
+        for first, end in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
+            earlier, later = found[found < first], found[found >= end]
+            if len(earlier) < 2 or not len(later):
+                continue
+            before, here, after = positions[[earlier[-2], earlier[-1], later[0]]]
+            came, went = here - before, after - here
+            stood = np.linalg.norm(positions[first:end] - here, axis=1).max() < _STOOD_PX
+            least = min(np.linalg.norm(came), np.linalg.norm(went))
+            onward = came @ went > _ONWARD * np.linalg.norm(came) * np.linalg.norm(went)
+            kept[first:end] = not (stood and least > _MOVED_PX and onward)
+        return np.flatnonzero(kept)
+
+
+def _redetect(
+    pictures: Pictures, first: Candidates, arc: Arc, allowed: Picture | None
+) -> Redetection:
+    """Learn the ball's appearance and the background without it, and find it in all pictures.
+
+    Args:
+        pictures: all of them.
+        first: candidates by their motion alone.
+        arc: the flight among them.
+        allowed: see `Pictures.allowed`.
+    """
+    ball = color_and_size(first, arc)
+    chosen, _ = follow(first, arc, ball)
+    seen_px = picked(first.places_px, chosen)
+    every = np.arange(len(seen_px))
+    known = np.flatnonzero(np.isfinite(seen_px[:, 0]))
+    before_px = np.column_stack([np.interp(every, known, seen_px[known, i]) for i in (0, 1)])
+    areas = picked(first.areas_px, chosen)
+    shown, still_px = flight_and_rest(first.seconds, arc, chosen, before_px, ball.radius_px)
+    crops = pictures.some(shown)
+    samples = [*pictures.samples, *crops]
+    numbers = [*pictures.sampled, *shown]
+    down = arc.gravity_px / np.linalg.norm(arc.gravity_px)
+    maybe_px: list[Array] = []
+    for at in numbers:  # a ball that lies was lost before it got there: a little above
+        rests = at > arc.frames[-1] and np.isfinite(still_px[at, 0])
+        below = (
+            [still_px[at] + radii * ball.radius_px * down for radii in _RESTS_BELOW]
+            if rests
+            else []
+        )
+        maybe_px.append(np.stack([before_px[at], *below]))
+    clear = still_background(samples, maybe_px, _HIDDEN * ball.radius_px + 2)
+    appearance = learn_appearance(crops, clear, before_px[shown], areas[shown])
+    if appearance is not None and appearance.radius_px > _MISSED * ball.radius_px:
+        clear = still_background(samples, maybe_px, _HIDDEN * appearance.radius_px + 2)
+        appearance = learn_appearance(crops, clear, before_px[shown], areas[shown])
+    del crops, samples  # many whole pictures
+    detector = BallDetector(clear, ball, appearance, allowed)
+    blobs: list[Blobs] = []
+    unchanged = np.zeros(len(before_px), dtype=bool)
+    before: Picture | None = None
+    for number, picture in enumerate(pictures):
+        blobs.append(detector.find(picture, before_px[number], still_px[number]))
+        unchanged[number] = before is not None and is_same(before, picture, blobs[-1])
+        before = picture
+    return Redetection(Candidates.of(first.seconds, blobs), before_px, unchanged)

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,7 +81,16 @@ def load_model(path: Path, purpose: Purpose) -> Model:
     Raises:
         WeightsError: says which, and what to do.
     """
-    tensors, header = _read(path)
+    try:
+        if path.stat().st_size > _MAX_BYTES:
+            raise WeightsError(f"{path}: is larger than any weights of this project")
+        with safe_open(path, framework="numpy") as file:
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (no dict)
+            header = file.metadata() or {}
+    except FileNotFoundError as error:
+        raise WeightsError(f"{path}: no such file") from error
+    except (OSError, SafetensorError, TypeError, ValueError) as error:
+        raise WeightsError(f"{path}: is not a readable safetensors file ({error})") from error
     if header.get("format") != FORMAT:
         raise WeightsError(f"{path}: holds no weights of tunenet-train")
     for name, wanted in _strings(purpose).items():
@@ -107,19 +115,6 @@ def load_model(path: Path, purpose: Purpose) -> Model:
     scaling = Scaling(*(tensors[f"scaling.{name}"] for name in _SCALING))
     weights = {name: tensors[name] for name in network.shapes(purpose.inputs, purpose.outputs)}
     return Model(network, weights, scaling, digest)
-
-
-def _read(path: Path) -> tuple[dict[str, Any], dict[str, str]]:
-    try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise WeightsError(f"{path}: is larger than any weights of this project")
-        with safe_open(path, framework="numpy") as file:
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (no dict)
-            return tensors, file.metadata() or {}
-    except FileNotFoundError as error:
-        raise WeightsError(f"{path}: no such file") from error
-    except (OSError, SafetensorError, TypeError, ValueError) as error:
-        raise WeightsError(f"{path}: is not a readable safetensors file ({error})") from error
 
 
 def _strings(purpose: Purpose) -> dict[str, str]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tunenet_logs.arrays import Array
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 Item = TypeVar("Item")
 

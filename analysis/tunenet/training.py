@@ -10,7 +10,7 @@ import numpy as np
 from analysis.tunenet.network import Model, Network, Scaling, initial_weights
 from analysis.tunenet.pairs import PairSet
 from tunenet_logs.arrays import Array
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 if TYPE_CHECKING:
     import torch

@@ -12,7 +12,7 @@ from benchmarks.faults.fault import Fault
 FITS = (
     Fault(
         "the speed of an impact is twice what it is",
-        "analysis/drop/rebounds.py",
+        "analysis/drop/film_restitution.py",
         "unit_m_s = CALIBRATED.gravity_m_s2 * fall_s / 2",
         "unit_m_s = CALIBRATED.gravity_m_s2 * fall_s",
         ("tests/analysis/drop/test_film_restitution.py",),
@@ -27,7 +27,7 @@ FITS = (
     Fault(
         "torques in a gap of an arm's positions count",
         "analysis/payload/arm_motion.py",
-        "keep = inside & (gaps[after - 1] < most)",
+        "keep = inside & (gaps[after - 1] < most_s)",
         "keep = inside",
         ("tests/analysis/payload/test_arm_log.py", "tests/analysis/payload/test_torque_fit.py"),
     ),
@@ -40,7 +40,7 @@ FITS = (
     ),
     Fault(
         "a line goes through the shortest beginning that it explains, not the longest",
-        "analysis/estimators/tunenet_line.py",
+        "analysis/estimators/rollout_line.py",
         "np.flatnonzero((above <= values) & (values <= below))[-1]",
         "np.flatnonzero((above <= values) & (values <= below))[0]",
         (
@@ -147,7 +147,7 @@ WRITERS = (
     Fault(
         "the next attempt is how many outcomes there are, and one",
         "recorders/outcome_options.py",
-        "number = 1 + max((one.attempt for one in earlier), default=0)",
+        "number = 1 + max((other.attempt for other in earlier), default=0)",
         "number = 1 + len(earlier)",
         ("tests/recorders/test_outcome_cli.py",),
     ),
@@ -178,8 +178,8 @@ VERDICTS = (
     Fault(
         "what was found beside the value is given an interval where the value has none",
         "analysis/record.py",
-        "ends = None if tuning.interval95 is None else one.interval95.tolist()",
-        "ends = one.interval95.tolist()",
+        "ends = None if intervals is None else tuple(map(tuple, extra.interval95.tolist()))",
+        "ends = tuple(map(tuple, extra.interval95.tolist()))",
         (
             "tests/analysis/test_record.py",
             "tests/analysis/drop/test_bounces.py",

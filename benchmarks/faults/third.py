@@ -12,7 +12,7 @@ from benchmarks.faults.fault import Fault
 FITS = (
     Fault(
         "how long flights last seems surer than it is: the errors of the impact between cancel",
-        "analysis/drop/rebounds.py",
+        "analysis/drop/film_restitution.py",
         "slopes = np.array([ratio, -1 - ratio, 1.0]) / (second - first)",
         "slopes = np.array([ratio, 1 - ratio, 1.0]) / (second - first)",
         ("tests/analysis/drop/test_film_restitution.py",),
@@ -33,7 +33,7 @@ FITS = (
     ),
     Fault(
         "a ball that is twice in one place as it turns back is taken for a doubled picture",
-        "analysis/tracking/redetection.py",
+        "analysis/tracking/track.py",
         "kept[first:end] = not (stood and least > _MOVED_PX and onward)",
         "kept[first:end] = not (stood and least > _MOVED_PX)",
         ("tests/analysis/tracking/test_trouble.py",),
@@ -142,9 +142,9 @@ VERDICTS = (
     ),
     Fault(
         "the simulated curve lies a radius too low beside the observed one",
-        "analysis/drop/curves.py",
-        'heights = signal.values[:, 2] - episode.info.rig["ball_diameter_m"] / 2',
-        'heights = signal.values[:, 2] - episode.info.rig["ball_diameter_m"]',
+        "analysis/drop/record_parts.py",
+        'heights_m = signal.values[:, 2] - episode.info.rig["ball_diameter_m"] / 2',
+        'heights_m = signal.values[:, 2] - episode.info.rig["ball_diameter_m"]',
         ("tests/analysis/drop/test_review.py",),
     ),
     Fault(

@@ -18,13 +18,12 @@ from recorders.topic_queue import TopicQueue
 from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.errors import CameraError, LogError, TuneNetError
 from tunenet_logs.images import image_size
-from tunenet_logs.progress import Bar, Progress
+from tunenet_logs.messages import CAMERA_TOPIC
+from tunenet_logs.terminal import Bar, Progress
 from tunenet_logs.writer import EpisodeWriter
 
 if TYPE_CHECKING:
     from recorders.camera.preview import Preview
-
-TOPIC = "/camera/image_raw/compressed"
 
 
 @dataclass(frozen=True)
@@ -54,9 +53,9 @@ def record_camera(
     progress: Progress,
     preview: Preview | None = None,
 ) -> Summary:
-    """Write a source's frames to a log until it ends, stalls, or is told to stop.
+    """Write a source's frames to a log until it ends, stalls, or is stopped.
 
-    With a preview, from the moment on when that is told to record.
+    With a preview, from the moment that "record" is pressed there.
 
     Raises:
         CameraError: no frame came (no log is left), or the source failed (what came is kept).
@@ -87,7 +86,7 @@ def record_camera(
         if not queue.captured:
             writer.discard()
             raise reader.error or CameraError(_nothing_came(source, ended))
-        rate_hz = measured_hz(queue.tally(TOPIC).stamps_ns)
+        rate_hz = measured_hz(queue.tally(CAMERA_TOPIC).stamps_ns)
         if rate_hz:
             writer.note("measured_hz", f"{rate_hz:.3f}")
         for name, text in source.notes().items():
@@ -151,13 +150,13 @@ class _Reader(threading.Thread):
                 last_ns = stamp_ns
                 if seconds is not None and self._since_first_ns(stamp_ns) >= seconds * 1e9:
                     return
-                told = replace(frame, stamp_ns=stamp_ns)
-                if not self.queue.put(TOPIC, stamp_ns, told, len(frame.data)):
+                stamped = replace(frame, stamp_ns=stamp_ns)
+                if not self.queue.put(CAMERA_TOPIC, stamp_ns, stamped, len(frame.data)):
                     return
 
     def _since_first_ns(self, stamp_ns: int) -> int:
         """Time from the first frame that counted [ns]; 0 before that."""
-        stamps_ns = self.queue.tally(TOPIC).stamps_ns
+        stamps_ns = self.queue.tally(CAMERA_TOPIC).stamps_ns
         return stamp_ns - stamps_ns[0] if stamps_ns else 0
 
     def tally(self) -> dict[str, int]:
@@ -189,7 +188,7 @@ def _write_frames(
         if preview is not None and preview.record.is_set() and not is_recording:
             is_recording = True
             queue.start()
-        if not ended and (ended := _told_to_stop(stop, preview)):
+        if not ended and (ended := _why_stopped(stop, preview)):
             queue.close()
         item = queue.take()
         if item is not None:
@@ -197,7 +196,7 @@ def _write_frames(
             if is_recording:
                 if not writer.accepted:
                     _note_size(writer, frame.data)
-                writer.write_frame(TOPIC, frame, item.received_ns)
+                writer.write_frame(CAMERA_TOPIC, frame, item.received_ns)
                 bar.set_postfix_str(f"{queue.dropped} dropped", refresh=False)
                 bar.update(1)
             if preview is not None:
@@ -213,7 +212,7 @@ def _write_frames(
     return ended or source.ended or failure
 
 
-def _told_to_stop(stop: threading.Event, preview: Preview | None) -> str:
+def _why_stopped(stop: threading.Event, preview: Preview | None) -> str:
     if stop.is_set():
         return "stopped by a signal"
     return "stopped on the page" if preview is not None and preview.stop.is_set() else ""

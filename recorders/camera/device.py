@@ -110,7 +110,7 @@ class CameraDevice:
 
 
 def _those_there_are() -> str:
-    devices = sorted(str(one) for one in Path("/dev").glob("video*"))
+    devices = sorted(str(device) for device in Path("/dev").glob("video*"))
     if not devices:
         return "no camera is plugged in (there is no /dev/video*)"
     return "there is " + ", ".join(devices)

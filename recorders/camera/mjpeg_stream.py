@@ -17,6 +17,7 @@ from tunenet_logs.errors import CameraError
 from tunenet_logs.jpeg import is_whole
 
 _BOUNDARY = re.compile(r'boundary\s*=\s*(?:"([^"]*)"|([^;\s]*))', re.IGNORECASE)
+"""In a Content-Type: what separates the parts, with quotes or without."""
 
 
 class MjpegStream:

@@ -10,11 +10,14 @@ from tunenet_logs.errors import CameraError
 
 MAX_PART_BYTES = 32 * 1024 * 1024
 """Of one picture: several times a large JPEG; a stream without an end must not fill the memory."""
+
 _MAX_HEADER_BYTES = 16 * 1024
 """Of the headers of one part: a camera sends about 100."""
+
 _DASHES = rb"-{2,70}"  # bounded: a long run of dashes must not be searched again from each of them
 _READ_BYTES = 256 * 1024
 """The most that one read takes: a few pictures."""
+
 _TAIL_BYTES = 512
 """Longer than any delimiter: kept when what lies before a delimiter is thrown away."""
 

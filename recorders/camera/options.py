@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from recorders.simulators.balls import BALLS, Ball
 from tunenet_logs.commandline import number
 from tunenet_logs.errors import UsageError
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 if TYPE_CHECKING:
     from recorders.camera.preview import Preview

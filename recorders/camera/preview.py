@@ -20,8 +20,10 @@ from tunenet_logs.images import MAX_PIXELS, image_size
 
 _RATE_FRAMES = 60
 """Frames over which the shown rate is measured: one or two seconds."""
+
 _BLOWN_OUT = 250
 """Grey level, of 255, from which a pixel counts as overexposed: JPEG blurs the 255 a little."""
+
 _PAUSE_SECONDS = 0.03
 """Between two pictures of the page: an eye needs no more, and recording comes first."""
 
@@ -144,7 +146,7 @@ class Preview:
 
 
 def _light(data: bytes) -> dict[str, Any]:
-    """Size, mean brightness (0 to 1) and share of blown-out pixels of a JPEG."""
+    """Size, mean brightness (0 to 1) and fraction of blown-out pixels of a JPEG."""
     with suppress(LogError):
         width, height = image_size(data)
         if 0 < width * height <= MAX_PIXELS:

@@ -33,7 +33,7 @@ class Settings:
 
     def asked(self) -> list[str]:
         """The names of what is asked for."""
-        return [one.name for one in fields(self) if getattr(self, one.name) is not None]
+        return [field.name for field in fields(self) if getattr(self, field.name) is not None]
 
 
 def apply(settings: Settings, capture: cv2.VideoCapture) -> None:

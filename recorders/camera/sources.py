@@ -16,7 +16,10 @@ _OPTIONS = {
     "white_balance_k": "--white-balance",
     "focus": "--focus",
 }
+"""By a setting's name, the option that asks for it: an error names what the user wrote."""
+
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://")
+"""What an address begins with, by RFC 3986; a device or a file has none."""
 
 
 def open_source(

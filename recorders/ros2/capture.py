@@ -17,15 +17,17 @@ from recorders.ros2.wire_types import WIRE_TYPES
 from recorders.session import Summary, stop_flag
 from tunenet_logs.episode import EpisodeInfo
 from tunenet_logs.errors import TopicError
-from tunenet_logs.progress import Bar, Progress
-from tunenet_logs.text import listed, one_line
+from tunenet_logs.terminal import Bar, Progress, listed, one_line
 
 _WAIT_S = 0.1
 """The longest wait for a message: a signal to stop is heard within it."""
+
 _SHOW_S = 0.5
 """Between two updates of the line on the terminal."""
+
 _MEETING_S = 1.0
 """How long a topic is looked at before it is judged: it may have several publishers."""
+
 _LONGEST_TURN_S = 0.25
 """What a turn of the loop counts for at most: a process that was stopped has not been waiting."""
 
@@ -119,7 +121,7 @@ def record_joints(
             raise
         session.count()
         summary = recording.close(ended)
-    return JointSummary(summary, {one.name: one.in_words() for one in session.heard})
+    return JointSummary(summary, {heard.name: heard.in_words() for heard in session.heard})
 
 
 @dataclass
@@ -150,11 +152,11 @@ class _Heard:
 
     def silence(self) -> str:
         """How long nothing came, and why as far as DDS knows."""
-        one = self.subscription
-        words = f"no message on {one.topic} for {self.silent_s:.1f} s"
-        if one.unmatched and not one.publishers:
-            return f"{words}: its publisher's {one.why_unmatched} does not go with ours"
-        return words if one.publishers else f"{words}: its publisher is gone"
+        subscription = self.subscription
+        words = f"no message on {subscription.topic} for {self.silent_s:.1f} s"
+        if subscription.unmatched and not subscription.publishers:
+            return f"{words}: its publisher's {subscription.why_unmatched} does not go with ours"
+        return words if subscription.publishers else f"{words}: its publisher is gone"
 
 
 class _Session:
@@ -198,8 +200,8 @@ class _Session:
         """
         try:
             ended = self._receive()
-            for one in self.heard:
-                self._judge(one)
+            for heard in self.heard:
+                self._judge(heard)
         except TopicError as error:
             if not self._is_heard:
                 raise
@@ -210,21 +212,22 @@ class _Session:
 
     def count(self) -> None:
         """Put what was counted into the log."""
-        for one in self.heard:
-            self._recording.count(f"received.{one.name}", one.pace.samples)
-            self._recording.count(f"gaps.{one.name}", one.pace.gaps)
-            self._recording.count(f"lost.{one.name}", one.subscription.lost)
-            gap_ms = round(one.pace.longest_gap_s * 1000)
-            self._recording.count(f"longest_gap_ms.{one.name}", gap_ms)
-            self._recording.note(f"measured_hz.{one.name}", f"{one.pace.rate_hz:.3f}")
-            if one.subscription.unmatched:
+        for heard in self.heard:
+            self._recording.count(f"received.{heard.name}", heard.pace.samples)
+            self._recording.count(f"gaps.{heard.name}", heard.pace.gaps)
+            self._recording.count(f"lost.{heard.name}", heard.subscription.lost)
+            gap_ms = round(heard.pace.longest_gap_s * 1000)
+            self._recording.count(f"longest_gap_ms.{heard.name}", gap_ms)
+            self._recording.note(f"measured_hz.{heard.name}", f"{heard.pace.rate_hz:.3f}")
+            if heard.subscription.unmatched:
                 self._recording.note(
-                    f"unmatched.{one.name}", f"{one.subscription.unmatched} publishers not heard"
+                    f"unmatched.{heard.name}",
+                    f"{heard.subscription.unmatched} publishers not heard",
                 )
 
     @property
     def _is_heard(self) -> bool:
-        return all(one.meeting.is_met for one in self.heard)
+        return all(heard.meeting.is_met for heard in self.heard)
 
     def _receive(self) -> str:
         turn_s = shown_s = time.monotonic()
@@ -234,8 +237,8 @@ class _Session:
             is_stopped = self._stop.is_set()
             now_s = time.monotonic()
             passed_s, turn_s = min(now_s - turn_s, _LONGEST_TURN_S), now_s
-            for one in self.heard:
-                if not self._take(one, passed_s):
+            for heard in self.heard:
+                if not self._take(heard, passed_s):
                     return ""  # the log ended by itself; closing it says why
             if first_s is None and self._recording.captured:
                 first_s = now_s
@@ -247,38 +250,39 @@ class _Session:
             if now_s - shown_s >= _SHOW_S:
                 shown_s = now_s
                 self._bar.set_postfix_str(
-                    "; ".join(f"{one.name} {one.in_words()}" for one in self.heard), refresh=False
+                    "; ".join(f"{heard.name} {heard.in_words()}" for heard in self.heard),
+                    refresh=False,
                 )
 
-    def _take(self, one: _Heard, passed_s: float) -> bool:
+    def _take(self, heard: _Heard, passed_s: float) -> bool:
         """Put what came on a topic into the log; False once that is over."""
         count = 0
-        subscription = one.subscription
+        subscription = heard.subscription
         for stamp_ns, cdr in subscription.take():
-            if not one.is_known:
-                one.meeting.hear(cdr)
-            if not self._recording.put_message(one.name, subscription.type_name, stamp_ns, cdr):
+            if not heard.is_known:
+                heard.meeting.hear(cdr)
+            if not self._recording.put_message(heard.name, subscription.type_name, stamp_ns, cdr):
                 return False
-            one.pace.add(stamp_of(subscription.type_name, cdr) or stamp_ns)
+            heard.pace.add(stamp_of(subscription.type_name, cdr) or stamp_ns)
             count += 1
-        one.meeting_s += passed_s if one.pace.samples else 0.0
-        if one.meeting.is_complete or one.meeting_s >= _MEETING_S:
-            self._judge(one)
-        one.silent_s = 0.0 if count else one.silent_s + passed_s
+        heard.meeting_s += passed_s if heard.pace.samples else 0.0
+        if heard.meeting.is_complete or heard.meeting_s >= _MEETING_S:
+            self._judge(heard)
+        heard.silent_s = 0.0 if count else heard.silent_s + passed_s
         if count:
             self._bar.update(count)
         return True
 
-    def _judge(self, one: _Heard) -> None:
+    def _judge(self, heard: _Heard) -> None:
         """Judge a topic by what its messages said so far, once.
 
         Raises:
             TopicError: it has not the joints that were named.
         """
-        if one.is_known:
+        if heard.is_known:
             return
-        one.meeting.check()
-        one.is_known = True
+        heard.meeting.check()
+        heard.is_known = True
         met = [other.meeting for other in self.heard if other.is_known and other.meeting.is_met]
         if len(met) == len(self.heard):
             lacking = [] if any(other.has_positions for other in met) else ["positions"]
@@ -293,7 +297,7 @@ class _Session:
         if is_stopped:
             captured = self._recording.captured
             return "stopped by a signal" if captured else "stopped by a signal before a message"
-        silent = [one for one in self.heard if one.silent_s > self._order.timeout_s]
+        silent = [heard for heard in self.heard if heard.silent_s > self._order.timeout_s]
         return silent[0].silence() if silent else ""
 
     def _not_published(self, published: Mapping[str, Publisher]) -> str:
@@ -303,7 +307,9 @@ class _Session:
             where += " of this machine"
         if self._stop.is_set():
             return f"{listed(missing)}: stopped by a signal before it was published; no log is left"
-        found = [f"{one.topic} ({', '.join(one.types)})" for one in published.values()]
+        found = [
+            f"{publisher.topic} ({', '.join(publisher.types)})" for publisher in published.values()
+        ]
         there = f"there are {listed(found)}" if found else "no topic is published there"
         return one_line(
             f"{listed(missing)}: not published on {where} within {self._order.timeout_s:g} s; "

@@ -11,7 +11,7 @@ from rosbags.serde import SerdeError
 from tunenet_logs import messages
 from tunenet_logs.errors import TopicError
 from tunenet_logs.formats.base import DAMAGED
-from tunenet_logs.text import listed, one_line
+from tunenet_logs.terminal import listed, one_line
 
 
 @dataclass(frozen=True)

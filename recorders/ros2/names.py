@@ -5,11 +5,18 @@ from __future__ import annotations
 import re
 
 from tunenet_logs.errors import UsageError
-from tunenet_logs.text import short_name
+from tunenet_logs.terminal import short_name
 
+# How ROS 2 names map to DDS (its design article "Topic and Service name mapping to DDS").
 _PREFIX = "rt/"
+"""Of a topic; services and actions have others."""
+
 _TOPIC = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
+"""A topic from the root: words between slashes, none of which begins with a digit."""
+
 _TYPE = re.compile(r"(\w+)::(msg|srv|action)::dds_::(\w+)_")
+"""A type on the wire: "sensor_msgs::msg::dds_::JointState_"."""
+
 _LONGEST = 200
 """Characters: DDS takes 255, of which ROS 2 needs some for its prefixes and services."""
 

@@ -22,6 +22,7 @@ _LOOPBACK = """<CycloneDDS><Domain><General><Interfaces><NetworkInterface addres
 
 _MOST_PUBLISHERS = 100_000
 """Read from discovery at once: more than any network of robots has."""
+
 _LOOK_AGAIN_S = 0.02
 """Between two looks for publishers: discovery takes some tens of milliseconds."""
 
@@ -66,14 +67,13 @@ class Node:
     def publishers(self) -> dict[str, Publisher]:
         """Those that are known now, by topic."""
         found: dict[str, list[tuple[str, bool]]] = {}
-        for one in self._published.read(_MOST_PUBLISHERS):
-            topic = ros_topic(one.topic_name)
-            if topic is not None and one.sample_info.instance_state == InstanceState.Alive:
-                reliability = one.qos[
-                    Policy.Reliability
-                ]  # unknown: neither, and best effort matches
+        for publication in self._published.read(_MOST_PUBLISHERS):
+            topic = ros_topic(publication.topic_name)
+            if topic is not None and publication.sample_info.instance_state == InstanceState.Alive:
+                # Where it is unknown it is neither, and best effort matches.
+                reliability = publication.qos[Policy.Reliability]
                 is_reliable = isinstance(reliability, Policy.Reliability.Reliable)
-                found.setdefault(topic, []).append((ros_type(one.type_name), is_reliable))
+                found.setdefault(topic, []).append((ros_type(publication.type_name), is_reliable))
         return {
             topic: Publisher(
                 topic,

@@ -11,11 +11,11 @@ from pathlib import Path
 from recorders.ros2.names import checked_topic
 from tunenet_logs.commandline import number, whole
 from tunenet_logs.errors import UsageError
-from tunenet_logs.progress import Progress
-from tunenet_logs.text import one_line, short_name
+from tunenet_logs.terminal import Progress, one_line, short_name
 
 _LAST_DOMAIN = 232
 """Of DDS: the ports of a higher domain's discovery would be over 65535."""
+
 _MOST_TOPICS, _MOST_JOINTS = 16, 100
 """More than any robot has: what is longer is a mistake in the command."""
 

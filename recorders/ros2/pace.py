@@ -8,12 +8,16 @@ import numpy as np
 
 _SETTLED_AT = 100
 """Intervals that are judged in one go: a median for each message would cost more than the rest."""
+
 _REMEMBERED = 200
 """Intervals whose median is the usual one: 0.2 s at 1 kHz, so a rate that changes is followed."""
+
 _FEWEST = 5
 """Intervals without which there is no usual one."""
+
 _GAP_PERIODS = 2.5
 """Usual intervals: at least one sample is missing in a longer one, whatever its jitter."""
+
 _SHORTEST_GAP_NS = 10_000_000
 """An arm does not get far in less, and computers without a real-time kernel are late by that."""
 
@@ -76,7 +80,7 @@ class Pace:
         fresh, self._fresh = self._fresh, []
         self._recent.extend(fresh)
         longest_ns = max(_GAP_PERIODS * self._usual_ns(), _SHORTEST_GAP_NS)
-        gaps = [one for one in fresh if one > longest_ns]
+        gaps = [interval_ns for interval_ns in fresh if interval_ns > longest_ns]
         self._gaps += len(gaps)
         self._longest_gap_ns = max(self._longest_gap_ns, *gaps, 0)
 

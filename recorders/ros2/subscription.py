@@ -27,12 +27,17 @@ from tunenet_logs.clock import now_ns
 from tunenet_logs.errors import TopicError
 
 _ANY = SampleState.Any | ViewState.Any | InstanceState.Any
+"""Samples in whatever state: each is taken once."""
+
 _MOST_AT_ONCE = 1000
 """Messages taken in one call: a second at 1 kHz, and bounded memory after a pause."""
+
 _MOST_WAITING = 100_000
 """Messages of a topic; more than a minute and a half at 1 kHz."""
+
 _LAST_NS = 2**63 - 1
 """DDS writes infinity as this: such a stamp is no time."""
+
 _POLICIES = {
     6: "ownership",
     11: "reliability",
@@ -40,7 +45,9 @@ _POLICIES = {
     24: "definition of the type",
 }
 """What ours asks for that a publisher may not offer, by DDS's numbers."""
+
 _PRIVATE_TAKE: Any = getattr(import_module("cyclonedds._clayer"), "ddspy_take", None)
+"""Takes samples as they came; None in a version of cyclonedds without it."""
 
 _Taken = tuple[bytes, Any]
 """CDR, and what DDS knows of it: a `cyclonedds.internal.SampleInfo`."""
@@ -137,8 +144,11 @@ def take_raw(reader: DataReader[Any]) -> Sequence[_Taken]:
 def take_decoded(reader: DataReader[Any]) -> Sequence[_Taken]:
     """The same with what cyclonedds promises alone: decoded, and encoded again."""
     return [
-        (one.serialize(use_version_2=False) if one.sample_info.valid_data else b"", one.sample_info)
-        for one in reader.take(_MOST_AT_ONCE)
+        (
+            sample.serialize(use_version_2=False) if sample.sample_info.valid_data else b"",
+            sample.sample_info,
+        )
+        for sample in reader.take(_MOST_AT_ONCE)
     ]
 
 

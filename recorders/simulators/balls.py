@@ -81,6 +81,9 @@ class Ball:
         return AIR_KG_M3 * self.drag_coefficient * area_m2 / (2 * self.mass_kg)
 
 
+UNKNOWN_BALL = Ball()
+"""Any ball: nothing is known of it."""
+
 # Size and mass: the middle of what the sport's rules allow. Cd: of a smooth sphere at the Reynolds
 # numbers of a drop, 1e4 to 1e5 (Achenbach 1972), where nothing else is named.
 BALLS: Mapping[str, Ball] = {

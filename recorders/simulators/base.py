@@ -1,14 +1,22 @@
-"""What every simulator is to those who tune it."""
+"""What every simulator is to those who tune it, and what an engine is to simulators."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from importlib import import_module
+from typing import TYPE_CHECKING, Protocol, cast
 
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import UsageError
+
+if TYPE_CHECKING:
+    from recorders.simulators.arm.description import Arm, Payload
+    from recorders.simulators.arm.path import JointPath
+    from recorders.simulators.arm.rollout import RolloutSettings
+    from recorders.simulators.contact import ContactSettings
+    from tunenet_logs.arrays import Array
 
 GRAVITY_M_S2 = 9.80665
 """Standard gravity (ISO 80000-3); at sea level it is 9.780 (equator) to 9.832 (poles)."""
@@ -69,3 +77,96 @@ class Simulator(Protocol):
             UsageError: a value that is missing, not finite or out of bounds.
         """
         ...
+
+
+DEFAULT = "pybullet"
+
+ENGINES = {
+    DEFAULT: "recorders.simulators.pybullet.engine",
+}
+"""Modules by the engine's name; each has what `Engine` names, and is imported when needed."""
+
+
+class BallWorld(Protocol):
+    """A plane at z = 0 and a ball of 1 kg over it; used for many rollouts.
+
+    A step is semi-implicit Euler: v += -g dt, then z += v dt.
+
+    Attributes:
+        engine: name and version.
+        radius_m: of the ball.
+        contact: how contacts are solved.
+    """
+
+    engine: str
+    radius_m: float
+    contact: ContactSettings
+
+    def place(self, gap_m: float, restitution: float) -> None:
+        """Put the ball at rest with its underside `gap_m` over the plane.
+
+        Nothing of an earlier rollout remains: the same calls give the same bits.
+        """
+        ...
+
+    def set_speed(self, speed_m_s: float) -> None:
+        """Give the ball this speed upward."""
+        ...
+
+    def step(self, period_s: float) -> tuple[float, float]:
+        """Step once; the centre's height [m] and the ball's speed upward [m/s]."""
+        ...
+
+    def steps(self, period_s: float, count: int) -> list[float]:
+        """Step `count` times; the centre's height after each [m]."""
+        ...
+
+
+class Engine(Protocol):
+    """A physics engine, such as a module with these names.
+
+    Attributes:
+        name: with its version, as a log and a tuning state it: "pybullet 3.2.7".
+    """
+
+    name: str
+
+    def ball_world(self, radius_m: float, contact: ContactSettings) -> BallWorld:
+        """A ball over a plane."""
+        ...
+
+    def inverse_dynamics(
+        self,
+        arm: Arm,
+        path: JointPath,
+        payload: Payload | None,
+        gravity_m_s2: tuple[float, float, float],
+    ) -> Array:
+        """Torques that move the arm along the path: rigid links, no friction.
+
+        Returns:
+            Shape (T, J) [N·m], or N of a joint that slides.
+        """
+        ...
+
+    def position_control(
+        self, arm: Arm, path: JointPath, payload: Payload | None, settings: RolloutSettings
+    ) -> Array:
+        """The arm's states after each step, while its motors follow the path.
+
+        Args:
+            arm: starts at the path's first sample.
+            path: one sample more than steps, at `settings.times()`.
+            payload: None for an empty gripper.
+            settings: of engine and motors.
+
+        Returns:
+            Position [rad], velocity [rad/s] and the motor's torque in the step [N·m] of each
+            joint, shape (T - 1, J, 3).
+        """
+        ...
+
+
+def engine(name: str = DEFAULT) -> Engine:
+    """One of `ENGINES`, imported when first needed."""
+    return cast("Engine", import_module(ENGINES[name]))

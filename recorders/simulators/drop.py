@@ -7,11 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
-from recorders.simulators.base import Parameter
+from recorders.simulators.base import BallWorld, Parameter, engine
 from recorders.simulators.contact import CALIBRATED, ContactSettings
-from recorders.simulators.engines import BallWorld, engine
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import UsageError
 
@@ -156,7 +154,19 @@ class DropSimulator:
         if set(values) != {RESTITUTION.name}:
             raise UsageError(f"a drop takes the value restitution, not {sorted(values)}")
         restitution = RESTITUTION.checked(values[RESTITUTION.name])
-        heights_m = self._heights_m(restitution)
+        rig, world = self.rig, self._world
+        period_s = 1.0 / rig.rate_hz
+        heights_m = np.full(rig.samples, rig.radius_m + rig.gap_m)
+        if self.contact.meet_impacts:
+            flight = Flight(world, rig.gap_m, restitution)
+            for index in range(1, rig.samples):
+                falling_s = index * period_s - rig.hold_s
+                if falling_s > 0:
+                    heights_m[index] = flight.advance(min(period_s, falling_s))
+        else:
+            world.place(rig.gap_m, restitution)
+            held = min(round(rig.hold_s * rig.rate_hz), rig.samples)
+            heights_m[held:] = world.steps(period_s, rig.samples - held)
         ticks = np.arange(len(heights_m)) + (0 if self.contact.meet_impacts else 1)
         stamps_ns = self.rig.start_ns + np.round(ticks * (1e9 / self.rig.rate_hz)).astype(np.int64)
         positions = np.column_stack([np.zeros((len(heights_m), 2)), heights_m])
@@ -171,20 +181,3 @@ class DropSimulator:
             truth={RESTITUTION.name: restitution},
         )
         return Episode(info, {TOPIC: Signal(TOPIC, stamps_ns, positions, ("x", "y", "z"), "m")})
-
-    def _heights_m(self, restitution: float) -> NDArray[np.float64]:
-        """Heights of the ball's centre [m], shape (rig.samples,)."""
-        rig, world = self.rig, self._world
-        period_s = 1.0 / rig.rate_hz
-        heights_m = np.full(rig.samples, rig.radius_m + rig.gap_m)
-        if self.contact.meet_impacts:
-            flight = Flight(world, rig.gap_m, restitution)
-            for index in range(1, rig.samples):
-                falling_s = index * period_s - rig.hold_s
-                if falling_s > 0:
-                    heights_m[index] = flight.advance(min(period_s, falling_s))
-        else:
-            world.place(rig.gap_m, restitution)
-            held = min(round(rig.hold_s * rig.rate_hz), rig.samples)
-            heights_m[held:] = world.steps(period_s, rig.samples - held)
-        return heights_m

@@ -13,7 +13,7 @@ from analysis.batch import tune_all
 from analysis.selection import Options
 from tests.conftest import record
 from tunenet_logs.errors import LogError, UsageError, WeightsError
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 QUIET = Progress(quiet=True)
 

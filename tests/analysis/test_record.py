@@ -11,13 +11,11 @@ import pytest
 
 from analysis.drop.checks import sure_check
 from analysis.estimators.base import ExtraEstimate
-from analysis.record import record_of
+from analysis.record import Tuning, record_of
 from analysis.record_json import to_json
-from analysis.report import Row, interval_words, row_of, table
-from analysis.review.words import result_words
+from analysis.report import Row, interval_words, result_words, row_of, table
 from analysis.selection import Options
 from analysis.tuning import tune_log
-from analysis.tuning_result import Tuning
 from tests.conftest import ROOT, record
 
 

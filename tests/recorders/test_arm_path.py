@@ -9,7 +9,6 @@ import pinocchio  # pyright: ignore[reportMissingImports]  (where no type checke
 import pytest
 
 from recorders.simulators.arm.description import Arm, jaco
-from recorders.simulators.arm.kinematics import link_poses, link_positions_m
 from recorders.simulators.arm.path import (
     CIRCLE_CSV,
     CIRCLE_RAD_S,
@@ -17,6 +16,8 @@ from recorders.simulators.arm.path import (
     circle,
     circle_at,
     eased,
+    link_poses,
+    link_positions_m,
     path_from_file,
     random_path,
 )

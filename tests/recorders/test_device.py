@@ -21,8 +21,8 @@ from tests.recorders.mjpeg_camera import number_in, picture
 from tunenet_logs.clock import wall_ns
 from tunenet_logs.episode import Episode, EpisodeInfo
 from tunenet_logs.images import image_size
-from tunenet_logs.progress import Progress
 from tunenet_logs.reader import read_episode
+from tunenet_logs.terminal import Progress
 
 pytestmark = pytest.mark.live
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from recorders.simulators.base import engine
 from recorders.simulators.contact import CALIBRATED, PAPER
 from recorders.simulators.drop import RESTITUTION, TOPIC, DropRig, DropSimulator
-from recorders.simulators.engines import engine
 from tests.strangers import bounce_heights
 from tunenet_logs.errors import UsageError
 

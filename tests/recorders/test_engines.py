@@ -10,10 +10,10 @@ import pytest
 from recorders.simulators.arm.description import jaco
 from recorders.simulators.arm.path import circle
 from recorders.simulators.arm.payload import PayloadSimulator
+from recorders.simulators.base import ENGINES, Engine, engine
 from recorders.simulators.bounce_shot import BounceShot
 from recorders.simulators.contact import CALIBRATED, PAPER
 from recorders.simulators.drop import TOPIC, DropRig, DropSimulator
-from recorders.simulators.engines import ENGINES, Engine, engine
 from recorders.simulators.pybullet import engine as bullet
 from recorders.simulators.shot.rig import ShotRig
 

@@ -30,8 +30,8 @@ from tests.recorders.mjpeg_camera import check_times, number_in, picture, playin
 from tunenet_logs.episode import Episode, EpisodeInfo
 from tunenet_logs.errors import CameraError
 from tunenet_logs.jpeg import is_whole
-from tunenet_logs.progress import Bar, Progress
 from tunenet_logs.reader import read_episode
+from tunenet_logs.terminal import Bar, Progress
 
 pytestmark = pytest.mark.live
 

@@ -16,8 +16,8 @@ from tests.recorders.rtsp_camera import rtsp_camera
 from tests.recorders.test_video_file import numbered
 from tunenet_logs.clock import now_ns
 from tunenet_logs.episode import EpisodeInfo
-from tunenet_logs.progress import Progress
 from tunenet_logs.reader import read_episode
+from tunenet_logs.terminal import Progress
 
 pytestmark = pytest.mark.live
 

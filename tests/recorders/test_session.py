@@ -10,8 +10,8 @@ from pathlib import Path
 
 from recorders.session import record_episode
 from recorders.simulated_drop import DropOrder, simulate_drop
-from tunenet_logs.progress import Bar, Progress
 from tunenet_logs.reader import read_episode
+from tunenet_logs.terminal import Bar, Progress
 
 
 class StopsAfter(Progress):

@@ -10,7 +10,7 @@ from tests.conftest import Command
 from tests.strangers import Stranger, write_poses
 from tunenet_logs.checking import check
 from tunenet_logs.episode import EpisodeInfo, Frame
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 from tunenet_logs.writer import EpisodeWriter
 
 QUIET = Progress(quiet=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tunenet_logs.collect import JointRows, PositionRows, with_joint_names
+from tunenet_logs.collect import JointRows, PositionRows
 from tunenet_logs.formats.base import BeyondLimitError
 from tunenet_logs.formats.message_types import JointSample
 
@@ -63,18 +63,23 @@ def test_more_names_than_any_robot_has_are_refused_and_are_no_damage():
         rows.add(0, [(1, f"frame{index}", "world", 0, 0, 0) for index in range(2000)])
 
 
-def test_told_names_are_for_joints_without_names_and_as_many():
+@pytest.mark.parametrize(
+    ("in_message", "given", "expected"),
+    [
+        ((), ("a", "b"), ("a", "b")),
+        ((), ("a", "b", "c"), ("joint1", "joint2")),
+        ((), ("a", "a"), ("joint1", "joint2")),
+        ((), (), ("joint1", "joint2")),
+        (("x", "y"), ("a", "b"), ("x", "y")),
+    ],
+)
+def test_given_names_are_for_joints_without_names_and_as_many(
+    in_message: tuple[str, ...], given: tuple[str, ...], expected: tuple[str, ...]
+):
     rows = JointRows("/joint_states")
-    rows.add(5, JointSample(5, (), effort=[1.0, 2.0]))
-    (nameless,), _ = rows.signals()
-    assert with_joint_names(nameless, ["a", "b"]).columns == ("a", "b")
-    assert with_joint_names(nameless, ["a", "b", "c"]).columns == nameless.columns
-    assert with_joint_names(nameless, ["a", "a"]).columns == nameless.columns
-    assert with_joint_names(nameless, []).columns == nameless.columns
-    rows = JointRows("/joint_states")
-    rows.add(5, JointSample(5, ("x", "y"), effort=[1.0, 2.0]))
-    (with_names,), _ = rows.signals()
-    assert with_joint_names(with_names, ["a", "b"]).columns == ("x", "y")
+    rows.add(5, JointSample(5, in_message, effort=[1.0, 2.0]))
+    (signal,), _ = rows.signals(given)
+    assert signal.columns == expected
 
 
 @pytest.mark.parametrize("value", [np.inf, -np.inf, np.nan])

@@ -17,8 +17,8 @@ from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.errors import LogError
 from tunenet_logs.importing import import_log
 from tunenet_logs.messages import COMPRESSED_IMAGE, IMAGE, JOINT_STATE, POSE
-from tunenet_logs.progress import Bar, Progress
 from tunenet_logs.reader import read_episode
+from tunenet_logs.terminal import Bar, Progress
 from tunenet_logs.writer import EpisodeWriter
 
 Topic = tuple[str, str, bytes]

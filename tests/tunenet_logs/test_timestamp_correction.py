@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from analysis.record import Tuning
 from analysis.selection import Options
 from analysis.tuning import tune_log
-from analysis.tuning_result import Tuning
 from tests.conftest import ROOT
 from tests.strangers import Stranger
 from tunenet_logs.episode import EpisodeInfo

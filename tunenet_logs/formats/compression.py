@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bz2
 from contextlib import suppress
+from dataclasses import dataclass
 
 import lz4.frame
 import zstandard
@@ -25,29 +26,29 @@ ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 message of ROS begins like this otherwise: its encoding begins with a zero."""
 
 
+@dataclass
 class Budget:
     """How much a whole file may unpack to: a log is not a bomb of many small parts either.
 
-    Args:
+    Attributes:
         file_bytes: size of the file.
+        spent_bytes: what was unpacked of it so far, or refused.
+        is_spent: whether more was to be unpacked than may be.
     """
 
-    def __init__(self, file_bytes: int) -> None:
-        self._left = _FREE_BYTES + _MOST_RATIO * file_bytes
-
-    @property
-    def is_spent(self) -> bool:
-        """Whether more was asked for than there was."""
-        return self._left < 0
+    file_bytes: int
+    spent_bytes: int = 0
+    is_spent: bool = False
 
     def spend(self, count: int) -> None:
-        """Take from it.
+        """Count `count` bytes that are to be unpacked.
 
         Raises:
-            ValueError: nothing is left.
+            ValueError: with these the file unpacks to more than it may.
         """
-        self._left -= count
-        if self._left < 0:
+        self.spent_bytes += count
+        self.is_spent = self.spent_bytes > _FREE_BYTES + _MOST_RATIO * self.file_bytes
+        if self.is_spent:
             raise ValueError(f"the log unpacks to more than {_MOST_RATIO} times its size")
 
 
@@ -108,12 +109,18 @@ def unpack_start(data: bytes | memoryview, compression: str, most: int) -> bytes
     """
     if compression in ("", "none"):
         return bytes(data[:most])
+    plain = bytearray()
     if compression == "zstd":
-        return _zstd_start(data, most)
+        unpacker = zstandard.ZstdDecompressor()
+        with suppress(zstandard.ZstdError), unpacker.stream_reader(data) as packed:
+            while (room := most - len(plain)) > 0 and (
+                piece := packed.read(min(_PIECE_BYTES, room))
+            ):
+                plain += piece
+        return bytes(plain)
     if compression not in ("lz4", "bz2"):
         return b""
     stream = lz4.frame.LZ4FrameDecompressor() if compression == "lz4" else bz2.BZ2Decompressor()
-    plain = bytearray()
     try:
         for at in range(0, len(data), _PIECE_BYTES):
             piece = data[at : at + _PIECE_BYTES]
@@ -122,12 +129,4 @@ def unpack_start(data: bytes | memoryview, compression: str, most: int) -> bytes
                 break
     except (RuntimeError, OSError, EOFError, MemoryError):
         pass  # what came before is whole
-    return bytes(plain)
-
-
-def _zstd_start(data: bytes | memoryview, most: int) -> bytes:
-    plain = bytearray()
-    with suppress(zstandard.ZstdError), zstandard.ZstdDecompressor().stream_reader(data) as packed:
-        while len(plain) < most and (piece := packed.read(min(_PIECE_BYTES, most - len(plain)))):
-            plain += piece
     return bytes(plain)

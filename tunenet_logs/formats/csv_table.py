@@ -29,8 +29,8 @@ from tunenet_logs.formats.tables.numbers import Numbers, decimal_of
 from tunenet_logs.formats.tables.times import Clock, lacks_zone, power_by_size, says_its_unit
 from tunenet_logs.timestamp_correction import order_samples
 
-_LOOK = 100
-"""Rows by which the unit of a time without one is told, and how numbers are written."""
+_LOOK_ROWS = 100
+"""Read ahead, to see how numbers are written and in which unit times are that name none."""
 
 _SLOW_S = 0.5
 """From row to row; what is sampled more slowly was timed in another unit than seconds, perhaps."""
@@ -70,7 +70,7 @@ class _TableReading:
     def read(self) -> None:
         """All rows; those that cannot be read are counted."""
         rows = self._cells()
-        first = list(islice(rows, _LOOK))
+        first = list(islice(rows, _LOOK_ROWS))
         self._look([cells for _, cells in first if cells and len(cells) == self._layout.width])
         for line, cells in chain(first, rows):
             try:
@@ -95,9 +95,9 @@ class _TableReading:
 
     def _look(self, whole: Sequence[Sequence[str]]) -> None:
         """How numbers are written, units of times that have none, names of joints."""
-        stamps = {one.stamp for one in self._layout.groups if one.stamp is not None}
+        stamps = {group.stamp for group in self._layout.groups if group.stamp is not None}
         clocks = {self._layout.clock, *stamps}
-        used = {one.index for group in self._layout.groups for one in group.used}
+        used = {column.index for group in self._layout.groups for column in group.used}
         used.update(index for clock in clocks for index in clock.indices)
         decimal = decimal_of(cells[index] for cells in whole for index in used)
         separator = self._layout.separator
@@ -125,15 +125,15 @@ class _TableReading:
             raise UnreadableError(f"it has {count} of {width} cells", DAMAGED_REMEDY)
         if count > width:
             raise UnreadableError(f"it has {count} cells, the header {width}", CELLS_REMEDY)
-        read = [(one, one.read(cells, self._numbers)) for one in self._samples]
-        found = [(one, row) for one, row in read if row is not None]
+        read = [(samples, samples.read(cells, self._numbers)) for samples in self._samples]
+        found = [(samples, row) for samples, row in read if row is not None]
         if not found:
             return
         arrival_ns = self._time(self._layout.clock, cells)
-        stamps = (one.group.stamp for one, _ in found)
+        stamps = (samples.group.stamp for samples, _ in found)
         taken = [0 if stamp is None else self._time(stamp, cells) for stamp in stamps]
-        for stamp_ns, (one, row) in zip(taken, found, strict=True):
-            one.add(stamp_ns, arrival_ns, row)
+        for stamp_ns, (samples, row) in zip(taken, found, strict=True):
+            samples.add(stamp_ns, arrival_ns, row)
 
     def _time(self, clock: Clock, cells: Sequence[str]) -> int:
         texts: list[str] = []
@@ -154,21 +154,21 @@ class _TableReading:
         Raises:
             LogError: that is nothing, or too little of it.
         """
-        filled = [one for one in self._samples if one.arrivals]
+        filled = [samples for samples in self._samples if samples.arrivals]
         if not filled:
             raise LogError(f"{path}: {self._failures.nothing(self._count)}")
         if why := self._failures.refusal(self._count):
             raise LogError(f"{path}: {why}")
-        first_ns = min(min(one.arrivals) for one in filled)
+        first_ns = min(min(samples.arrivals) for samples in filled)
         notes = self._notes(first_ns)
         signals: dict[str, Signal] = {}
-        for one in filled:
-            signals[one.group.name], repairs = one.signal(max(0, -first_ns))
+        for samples in filled:
+            signals[samples.group.name], repairs = samples.signal(max(0, -first_ns))
             notes += repairs
         notes += self._doubts(signals)
         channels = [
-            Channel(one.group.name, _type(one), "csv", np.array(one.arrivals, np.int64))
-            for one in self._samples
+            Channel(samples.group.name, _type(samples), "csv", np.array(samples.arrivals, np.int64))
+            for samples in self._samples
         ]
         none: NDArray[np.int64] = np.empty(0, np.int64)
         channels += [
@@ -192,7 +192,7 @@ class _TableReading:
     def _doubts(self, signals: dict[str, Signal]) -> list[str]:
         """Times that may be in another unit than was guessed."""
         clock = self._layout.clock
-        rates = [one.rate_hz for one in signals.values() if one.rate_hz]
+        rates = [signal.rate_hz for signal in signals.values() if signal.rate_hz]
         is_known = clock.power is not None or clock.name in self._dated or self._powers[clock]
         if is_known or not rates or max(rates) > 1 / _SLOW_S:
             return []
@@ -223,13 +223,13 @@ class _SignalSamples:
         """
         row = self._empty.copy()
         missing = 0
-        for one in self.group.used:
+        for column in self.group.used:
             try:
-                value = numbers.read(cells[one.index])
+                value = numbers.read(cells[column.index])
             except ValueError as why:
-                name = self._header[one.index]
-                raise unreadable(name, cells[one.index], why, NUMBER_REMEDY) from None
-            row[one.row] = value * one.scale
+                name = self._header[column.index]
+                raise unreadable(name, cells[column.index], why, NUMBER_REMEDY) from None
+            row[column.row] = value * column.scale
             missing += value != value  # noqa: PLR0124 (NaN)
         if missing == len(self.group.used):
             return None

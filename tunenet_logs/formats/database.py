@@ -154,12 +154,12 @@ def table_of(
     if kind != "table" or type(root) is not int or root <= 0 or others:  # a virtual one has no root
         raise NoTableError(f"its {name!r} is no plain table")
     columns = {row[1]: row[6] for row in database.execute(f"PRAGMA table_xinfo({name})")}
-    if any(one.lower() == _NUMBER for one in columns):
+    if any(column.lower() == _NUMBER for column in columns):
         raise NoTableError(f"its table {name!r} hides its rows' numbers")
-    found = (*needed, *(one for one in more if columns.get(one) == 0))
-    for one in needed:
-        if columns.get(one) != 0:  # a computed one is hidden
-            raise NoTableError(f"its table {name!r} has no plain column {one!r}")
+    found = (*needed, *(column for column in more if columns.get(column) == 0))
+    for column in needed:
+        if columns.get(column) != 0:  # a computed one is hidden
+            raise NoTableError(f"its table {name!r} has no plain column {column!r}")
     return DatabaseTable(name, found)
 
 

@@ -102,7 +102,7 @@ def _built(value: Any, shape: Shape) -> Any:
     if isinstance(shape, Many):
         if not isinstance(value, list):
             raise ValueError("no list where one must be")
-        return [_built(one, shape.of) for one in value]
+        return [_built(item, shape.of) for item in value]
     built = _LEAVES[shape](value)
     if built is None and shape is not Leaf.OPTIONAL:
         raise ValueError(f"something else where {shape.value} must be")
@@ -174,3 +174,4 @@ _LEAVES = {
     Leaf.DATA: _data,
     Leaf.TIME: _time,
 }
+"""What reads each kind of field; None where the value is of another kind."""

@@ -7,6 +7,7 @@ import struct
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
@@ -50,7 +51,7 @@ _USED_IN_CHUNK = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE))
 _USED_IN_SUMMARY = frozenset((Opcode.STATISTICS, Opcode.FOOTER))
 _USED = frozenset(
     (Opcode.CHUNK, Opcode.METADATA, Opcode.ATTACHMENT, Opcode.DATA_END, Opcode.FOOTER)
-).union(_USED_IN_CHUNK)
+).union(_USED_IN_CHUNK)  # outside of chunks, before the summary
 
 _ZEROS_BYTES = 64
 """A cut chunk that ends in so many zeros was never written: a file system leaves them."""
@@ -64,7 +65,8 @@ def read_mcap(
 ) -> Iterator[Record]:
     """The records of an MCAP file; see `Container`. Every CRC that the file carries is checked."""
     with open(path, "rb") as file:
-        yield from _McapReading(file, losses, topics).records()
+        size = os.fstat(file.fileno()).st_size
+        yield from _McapReading(file, size, losses, topics, Budget(size)).records()
 
 
 class _Exact(BytesIO):
@@ -113,26 +115,26 @@ def _with_schema(
     )
 
 
+@dataclass(eq=False)
 class _McapReading:
-    """One pass over a file."""
+    """One pass over a file of `size` bytes."""
 
-    def __init__(self, file: BinaryIO, losses: list[Loss], topics: Sequence[str] | None) -> None:
-        self.file = file
-        self.size = os.fstat(file.fileno()).st_size
-        self.losses = losses
-        self.topics = topics
-        self.budget = Budget(self.size)
-        self.schemas: dict[int, mcap_records.Schema] = {}
-        self.channels: dict[int, RawChannel] = {}
-        self.summary: dict[int, RawChannel] | None = None
-        self.crc = 0
-        self.messages = 0  # of all topics, as far as they were read
-        self.unknown = 0  # of them, those whose channel nothing describes
-        self.stated: int | None = None  # messages, as the summary counts them
-        self.is_protected = False
-        self.unprotected = False  # whether a message came without a checksum of its chunk
-        self.in_summary = False
-        self.ended = False
+    file: BinaryIO
+    size: int
+    losses: list[Loss]
+    topics: Sequence[str] | None
+    budget: Budget
+    schemas: dict[int, mcap_records.Schema] = field(default_factory=dict)
+    channels: dict[int, RawChannel] = field(default_factory=dict)
+    summary: dict[int, RawChannel] | None = None
+    crc: int = 0
+    messages: int = 0  # of all topics, as far as they were read
+    unknown: int = 0  # of them, those whose channel nothing describes
+    stated: int | None = None  # messages, as the summary counts them
+    is_protected: bool = False
+    unprotected: bool = False  # whether a message came without a checksum of its chunk
+    in_summary: bool = False
+    ended: bool = False
 
     def records(self) -> Iterator[Record]:
         at = len(self._read(len(MAGIC)))
@@ -319,7 +321,7 @@ class _McapReading:
 
     def _check_end(self, body: bytes, crc: int) -> None:
         self.ended = True
-        stated = FOOTER.unpack_from(body)[2]
+        _, _, stated = FOOTER.unpack_from(body)
         if not self.in_summary:
             self._lose("the end of the data is not marked")
         elif (stated and stated != crc) or self.file.read(len(MAGIC)) != MAGIC:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -114,15 +115,8 @@ def _place(stamp_ns: int, point: Any, name: str = "", frame: str = "") -> Positi
 
 def _at(path: str) -> PositionType:
     """A type with a header, and a point at `path`."""
-    fields = path.split(".")
-
-    def read(message: Any) -> Iterable[PositionSample]:
-        point = message
-        for name in fields:
-            point = getattr(point, name)
-        return (_place(_ros_stamp(message), point),)
-
-    return PositionType(read)
+    point_of = attrgetter(path)
+    return PositionType(lambda message: (_place(_ros_stamp(message), point_of(message)),))
 
 
 def _transforms(message: Any) -> Iterable[PositionSample]:
@@ -228,7 +222,7 @@ _MESSAGE_TYPES: dict[str, MessageType] = {
     ),
     "foxglove.FrameTransform": PositionType(lambda message: (_frame_transform(message),)),
     "foxglove.FrameTransforms": PositionType(
-        lambda message: [_frame_transform(one) for one in message.transforms]
+        lambda message: [_frame_transform(transform) for transform in message.transforms]
     ),
     "sensor_msgs/msg/JointState": JointType(_joint_state),
     "foxglove.JointStates": JointType(_foxglove_joints),

@@ -48,9 +48,9 @@ def open_log(path: Path) -> Container | Episode:
     Raises:
         LogError: there is no such file, or it is nothing that is read here.
     """
-    if is_folder(path):
-        return read_folder
     try:
+        if path.is_dir():
+            return read_folder
         if not path.exists():
             raise LogError(f"{path}: no such file")
         if not path.is_file():

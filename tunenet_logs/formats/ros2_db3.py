@@ -98,7 +98,7 @@ class _Db3Reading:
         """The table, with the data of some topics only: that of others is not even loaded."""
         if topics is None:
             return table
-        wanted = [str(key) for key, one in self._channels.items() if one.topic in topics]
+        wanted = [str(key) for key, channel in self._channels.items() if channel.topic in topics]
         data = f"CASE WHEN topic_id IN ({', '.join(wanted)}) THEN data END"
         return replace(table, columns=(*table.columns[:-1], data))
 
@@ -123,7 +123,7 @@ def _channels(database: sqlite3.Connection, losses: list[Loss]) -> dict[int, Raw
     table = table_of(database, "topics", _TOPICS, tuple(_MORE))
     channels: dict[int, RawChannel] = {}
     for row, (number, *texts) in table.rows(database, losses):
-        if type(number) is not int or any(type(one) is not str for one in texts[:3]):
+        if type(number) is not int or any(type(text) is not str for text in texts[:3]):
             losses.append(Loss(f"topic {row} is damaged"))
             continue
         name, kind, encoding = texts[:3]

@@ -127,12 +127,12 @@ def _files(folder: Path) -> list[Path]:
 
 def _missing_parts(files: Sequence[Path]) -> list[Loss]:
     """Numbers that are not there between those that are."""
-    numbers = [int(match[2]) for one in files if (match := _NUMBERED.fullmatch(one.stem))]
+    numbers = [int(match[2]) for file in files if (match := _NUMBERED.fullmatch(file.stem))]
     if len(numbers) < 2 or numbers[-1] - numbers[0] > _MOST_PARTS:
         return []
     present = set(numbers)
-    absent = [one for one in range(numbers[0], numbers[-1]) if one not in present][:5]
-    words = ", ".join(str(one) for one in absent)
+    absent = [number for number in range(numbers[0], numbers[-1]) if number not in present][:5]
+    words = ", ".join(str(number) for number in absent)
     return [Loss(f"of its files, those with number {words} are missing")] if absent else []
 
 

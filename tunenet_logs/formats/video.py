@@ -219,9 +219,9 @@ def _video_stream(container: InputContainer, path: Path) -> Any:
     import av.stream
 
     cover = av.stream.Disposition.attached_pic
-    streams = [one for one in container.streams.video if not one.disposition & cover]
+    streams = [stream for stream in container.streams.video if not stream.disposition & cover]
     if not streams:
-        kinds = ", ".join(sorted({str(one.type) for one in container.streams})) or "nothing"
+        kinds = ", ".join(sorted({str(stream.type) for stream in container.streams})) or "nothing"
         raise LogError(f"{path}: holds no video (only {kinds}); name a video of the drop")
     stream = streams[0]
     width, height = stream.codec_context.width, stream.codec_context.height

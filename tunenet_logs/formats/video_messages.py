@@ -51,7 +51,7 @@ def decoded(packets: Iterable[Packet]) -> Iterator[Frame]:
     Raises:
         LogError: this machine's FFmpeg has no such decoder.
     """
-    for name, group in groupby(packets, key=lambda one: CODECS[one.format]):
+    for name, group in groupby(packets, key=lambda packet: CODECS[packet.format]):
         yield from _Stream(name).frames(group)
 
 

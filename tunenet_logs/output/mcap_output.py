@@ -71,14 +71,16 @@ class McapOutput:
 
     def add_schema(self, name: str, encoding: str, text: str) -> int:
         """Announce a type of messages; its id."""
-        known = len(self._summary.schemas) + sum(isinstance(one, Schema) for one in self._new)
+        known = len(self._summary.schemas) + sum(isinstance(record, Schema) for record in self._new)
         schema = Schema(id=known + 1, name=name, encoding=encoding, data=text.encode())
         self._announce(schema)
         return schema.id
 
     def add_channel(self, topic: str, encoding: str, schema_id: int) -> int:
         """Announce a topic; its id."""
-        known = len(self._summary.channels) + sum(isinstance(one, Channel) for one in self._new)
+        known = len(self._summary.channels) + sum(
+            isinstance(record, Channel) for record in self._new
+        )
         channel = Channel(
             id=known + 1, topic=topic, message_encoding=encoding, metadata={}, schema_id=schema_id
         )
@@ -118,8 +120,8 @@ class McapOutput:
         chunk = Chunk(
             compression="zstd",
             data=compressed,
-            message_start_time=min(min(one[::2]) for one in entries.values()),
-            message_end_time=max(max(one[::2]) for one in entries.values()),
+            message_start_time=min(min(pairs[::2]) for pairs in entries.values()),
+            message_end_time=max(max(pairs[::2]) for pairs in entries.values()),
             uncompressed_crc=zlib.crc32(data),
             uncompressed_size=len(data),
         )
@@ -141,7 +143,7 @@ class McapOutput:
             compressed_size=len(compressed),
             uncompressed_size=len(data),
         )
-        counts = {one: len(pairs) // 2 for one, pairs in entries.items()}
+        counts = {channel_id: len(pairs) // 2 for channel_id, pairs in entries.items()}
         self._summary.add_chunk(index, counts, new)
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:

@@ -8,8 +8,7 @@ import rerun.blueprint as rrb
 
 from analysis.drop.review.review_data import ReviewData
 from analysis.record import Rebound
-from analysis.review.charts import WIDTH, chart_view, log_grid, ticks
-from analysis.review.drawing import screen_radius
+from analysis.review.drawing import WIDTH, chart_view, log_grid, screen_radius, ticks
 
 _LEAST_SPAN = 0.04
 """Of restitution: less would make noise look like a slope."""

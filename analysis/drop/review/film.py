@@ -10,10 +10,10 @@ import rerun.blueprint as rrb
 
 from analysis.drop.film import FilmedDrop
 from analysis.drop.review.review_data import ReviewData
+from analysis.record import Tuning
 from analysis.review.drawing import OBSERVED, Color, at_seconds, screen_radius
 from analysis.review.pictures import reduced, send_pictures
 from analysis.tracking.pictures import readable_frames
-from analysis.tuning_result import Tuning
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Frame
 from tunenet_logs.errors import LogError

@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from analysis.drop.record_parts import observed_heights_m, simulated_heights
-from analysis.record import Rebound, record_of
+from analysis.record import Rebound, Tuning, record_of
 from analysis.review.drawing import OBSERVED, Color, ramp
-from analysis.tuning_result import Tuning
 from recorders.simulators.closed_form.bounce import Bounce
 from tunenet_logs.arrays import Array
 
@@ -93,6 +92,15 @@ def review_data(tuning: Tuning) -> ReviewData:
         simulated.append(curve)
         off = np.interp(observed.seconds, seconds, heights) - observed.heights_m
         residuals.append(replace(curve, seconds=observed.seconds, heights_m=off))
+    # Impacts that were found, else an ideal ball's; the first alone where no ball is simulated.
+    impacts = [rebound.impact_s for rebound in fit.detail] if fit else []
+    if len(impacts) < 2 and tuning.trace is not None and tuning.physical:
+        ball = Bounce(float(tuning.trace.estimate[0]))
+        starts, speeds = ball.flights((drop.seconds[-1] - drop.impact_s) / drop.fall_time_s)
+        hard = speeds > _SOFTEST * ball.restitution
+        hard[0] = True
+        impacts = list(drop.impact_s + drop.fall_time_s * starts[hard])
+    impacts_s = np.array(impacts or [drop.impact_s], dtype=np.float64)
     interval95 = None
     if tuning.interval95 is not None:
         low, high = tuning.interval95[0]
@@ -105,25 +113,7 @@ def review_data(tuning: Tuning) -> ReviewData:
         release_s=float(drop.release_s),
         impact_s=float(drop.impact_s),
         end_s=float(min(drop.seconds[-1], drop.impact_s + _SHOWN_FALLS * drop.fall_time_s)),
-        impacts_s=_impacts(tuning),
+        impacts_s=impacts_s[impacts_s <= drop.seconds[-1]],
         bounces=record_of(tuning).rebounds if fit and fit.detail else (),
         interval95=interval95,
     )
-
-
-def _impacts(tuning: Tuning) -> Array:
-    """Times of the impacts that were found, else of an ideal ball's, shape (I,) [s].
-
-    The first alone where the restitution is not physical, as with the paper's presets.
-    """
-    drop, fit = tuning.detection.drop, tuning.trace.fit if tuning.trace else None
-    last_s = float(drop.seconds[-1])
-    found = [rebound.impact_s for rebound in fit.detail] if fit else []
-    if len(found) < 2 and tuning.trace is not None and tuning.physical:
-        ball = Bounce(float(tuning.trace.estimate[0]))
-        starts, speeds = ball.flights((last_s - drop.impact_s) / drop.fall_time_s)
-        hard = speeds > _SOFTEST * ball.restitution
-        hard[0] = True
-        found = list(drop.impact_s + drop.fall_time_s * starts[hard])
-    impacts = np.array(found or [drop.impact_s], dtype=np.float64)
-    return impacts[impacts <= last_s]

@@ -12,26 +12,24 @@ import rerun.blueprint as rrb
 from analysis.drop.review.bounces import bounce_view, log_bounces
 from analysis.drop.review.film import log_film
 from analysis.drop.review.review_data import ReviewData, review_data
-from analysis.review.charts import (
-    Iterates,
-    chart_view,
-    iterates_view,
-    log_grid,
-    log_iterates,
-    ticks,
-)
+from analysis.record import Tuning
 from analysis.review.drawing import (
     GROUND,
     ITERATION,
     LOG_TIME,
     OBSERVED,
     Color,
+    Iterates,
     at_seconds,
     by_iteration,
+    chart_view,
+    iterates_view,
+    log_grid,
+    log_iterates,
     screen_radius,
     send_scalars,
+    ticks,
 )
-from analysis.tuning_result import Tuning
 
 _MANY = 400
 """Samples above which dots would hide the lines."""

@@ -21,12 +21,12 @@ from analysis.evaluation.clips.file import VERSIONS, write_clip, write_versions
 from analysis.evaluation.clips.film import places_px
 from analysis.evaluation.clips.order import ClipOrder, draw_clip
 from analysis.processes import Piece, parallel_map
+from analysis.record import Tuning
 from analysis.selection import Options
 from analysis.tracking.track import Track
 from analysis.tuning import tune_log
-from analysis.tuning_result import Tuning
 from tunenet_logs.arrays import Array
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 Result = TypeVar("Result")
 

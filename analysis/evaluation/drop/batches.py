@@ -14,7 +14,7 @@ from analysis.evaluation.drop.targets import DropProblems, DropTarget
 from analysis.processes import Piece, parallel_map
 from recorders.simulators.contact import ContactSettings
 from tunenet_logs.arrays import Array
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 
 class OverspentError(Exception):

@@ -19,7 +19,7 @@ from analysis.tunenet.pairs import observe_all
 from analysis.tuning import tune_episode
 from recorders.simulated_drop import DropOrder, simulate_drop
 from tunenet_logs.arrays import Array
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 RESTITUTION = (0.1, 0.95)
 """Drawn evenly: nearly all balls."""

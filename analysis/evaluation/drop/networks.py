@@ -11,7 +11,7 @@ from analysis.evaluation.drop.our_networks import train_on_calibrated, train_on_
 from analysis.tunenet.network import Model, Network, PaperNetwork
 from analysis.tunenet.pairs import PairSet
 from analysis.tunenet.training import train
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 Networks = Mapping[str, Model]
 """By the names in `NETWORKS`."""

@@ -18,7 +18,7 @@ from analysis.tunenet.network import AntisymmetricNetwork, Model
 from analysis.tunenet.pairs import PairSet
 from analysis.tunenet.training import train
 from recorders.simulators.drop import RESTITUTION
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 HEIGHTS = 160
 RESTITUTIONS = 10

@@ -17,7 +17,7 @@ from analysis.evaluation.methods.sbi_network import SbiPosterior, train_posterio
 from analysis.processes import Piece, parallel_map
 from recorders.simulators.drop import RESTITUTION
 from tunenet_logs.arrays import Array
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 Posteriors = Mapping[tuple[int, float], SbiPosterior]
 """By seed and noise of the target [m]."""

@@ -15,7 +15,7 @@ from analysis.evaluation.drop.posteriors import Posteriors, credible_coverage, t
 from analysis.evaluation.drop.results import Cell, DropResults, MethodErrors
 from analysis.evaluation.drop.targets import TARGET_SETS, DropTarget, TargetSet, draw_targets
 from recorders.simulators.contact import CALIBRATED, PAPER, ContactSettings
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 NOISE_M = 0.01
 """Standard deviation of a height in the noisy cells [m]: what a good tracker leaves."""

@@ -23,7 +23,7 @@ from analysis.tunenet.network import AntisymmetricNetwork, Model
 from analysis.tunenet.pairs import PairSet, consecutive_pairs, observe_all
 from analysis.tunenet.training import train
 from tunenet_logs.arrays import Array
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 _TRAINING = replace(OUR_TRAINING, weight_decay=0.1, cut_share=0.0)
 

@@ -13,11 +13,11 @@ import numpy as np
 
 from analysis.drop import observations as views
 from analysis.drop.film_presets import filled, paper_rows
-from analysis.drop.free_fall import noise_of
 from analysis.drop.presets import PAPER_HEIGHT_M
 from analysis.drop.projection import best_map
 from analysis.estimators.base import Observation, Problem
 from analysis.evaluation.drop.targets import DropTarget
+from analysis.statistics import noise_of
 from recorders.simulators.contact import PAPER
 from recorders.simulators.drop import RESTITUTION, TOPIC, DropRig, DropSimulator
 from tunenet_logs.arrays import Array

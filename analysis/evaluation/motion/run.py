@@ -35,7 +35,7 @@ from analysis.evaluation.motion.rows import (
 from analysis.tunenet.network import Model
 from recorders.simulators.drop import TOPIC
 from tunenet_logs.arrays import Array
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 ITERATIONS = 5
 """K, rollouts that a tuner may spend: the paper's."""

@@ -26,7 +26,7 @@ from recorders.simulators.arm.disturbances import (
 from recorders.simulators.arm.driver import driver_episode
 from recorders.simulators.arm.path import circle, random_path
 from tunenet_logs.arrays import Array
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 TEST_SEEDS = 5_000_000
 """Logs are drawn from these and a seed; whatever was chosen was chosen on seeds below 100 000."""

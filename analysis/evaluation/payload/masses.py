@@ -12,10 +12,12 @@ import numpy as np
 
 from analysis.estimators.base import Observation, Problem
 from analysis.estimators.tunenet import TuneNet
-from analysis.payload.presets import PAPER_GRAVITY_M_S2, PAPER_MASS_KG, TRAININGS
-from analysis.payload.readings import (
+from analysis.payload.presets import (
+    PAPER_GRAVITY_M_S2,
+    PAPER_MASS_KG,
     PAPER_RATE_HZ,
     PAPER_SAMPLES,
+    TRAININGS,
     paper_torques,
     payload_readings,
 )
@@ -27,7 +29,7 @@ from recorders.simulators.arm.path import circle
 from recorders.simulators.arm.payload import TOPIC, PayloadSimulator
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 Observe = Callable[[Episode], Observation]
 

@@ -16,7 +16,7 @@ from analysis.evaluation.track_tuning import tune_track
 from analysis.processes import Piece, parallel_map
 from analysis.selection import Options, Selection
 from recorders.simulators.balls import Ball
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 DROPS = 500
 """Of each kind: a fraction of 1 % has a standard error of .45 %."""

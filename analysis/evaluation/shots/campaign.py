@@ -34,7 +34,7 @@ from analysis.tunenet.network import Model
 from analysis.tuning import tune_log
 from recorders.simulators.shot.rig import ShotRig
 from tunenet_logs.outcome import BOUNCE_SHOT, Outcome, write_outcome
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 TRIALS = 60
 LEAVING = 22

@@ -37,7 +37,7 @@ from recorders.simulators.closed_form.bounce import Bounce
 from recorders.simulators.drop import RESTITUTION, TOPIC
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 SAMPLES = 400
 ITERATIONS = 5

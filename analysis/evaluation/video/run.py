@@ -18,7 +18,7 @@ from analysis.evaluation.video.sections import (
 )
 from analysis.processes import Piece, parallel_map
 from tunenet_logs.arrays import Array
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 WRONG = 0.05
 """Of restitution: a larger error is one that a user would mind."""

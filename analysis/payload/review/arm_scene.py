@@ -12,7 +12,7 @@ import rerun.blueprint as rrb
 from analysis.payload.review.review_data import PayloadReviewData
 from analysis.review.drawing import MUTED, at_seconds, screen_radius
 from recorders.simulators.arm.description import Arm
-from recorders.simulators.arm.kinematics import LinkPoses, link_poses
+from recorders.simulators.arm.path import LinkPoses, link_poses
 from recorders.simulators.arm.rigid_bodies import rotation_from_rpy
 from tunenet_logs.arrays import Array
 
@@ -65,12 +65,28 @@ _LEVEL = 0.3
 """A path's normal less horizontal than this: it is seen from the arm's side."""
 
 
-def log_arm(stream: rr.RecordingStream, data: PayloadReviewData) -> None:
-    """Send the entities of `arm_view`."""
-    seconds, poses = _shown(data)
-    reach_m = _reach_m(data.arm)
+def log_arm(stream: rr.RecordingStream, data: PayloadReviewData) -> rrb.View:
+    """The ground, the arm in its poses, and what it holds."""
+    rate_hz = 1 / float(np.median(np.diff(data.seconds)))
+    kept = slice(None, None, max(1, round(rate_hz / _MOST_HZ)))
+    seconds, poses = data.seconds[kept], link_poses(data.arm, data.position_rad[kept])
+    steps = [joint.origin_m for joint in data.arm.joints] + [data.arm.tool_from_last_m]
+    reach_m = max(sum(math.hypot(*step) for step in steps), 1e-3)
     stream.log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    _log_ground(stream, reach_m)
+    tile, half = _TILE * reach_m, _TILES * _TILE * reach_m / 2
+    at = [-half + tile * k for k in range(_TILES + 1)]
+    lines = [[[x, -half, 0], [x, half, 0]] for x in at]
+    lines += [[[-half, y, 0], [half, y, 0]] for y in at]
+    grid = rr.LineStrips3D(lines, colors=[_LINES], radii=screen_radius(0.6))
+    stream.log("scene/ground", grid, static=True)
+    axes = rr.Arrows3D(
+        vectors=_AXIS * reach_m * np.eye(3),
+        colors=_AXES,
+        radii=[0.006 * reach_m],
+        labels=["x", "y", "z"],
+        show_labels=True,
+    )
+    stream.log("scene/base_axes", axes, static=True)
     _log_links(stream, data.arm, reach_m)
     for frame in range(1, poses.position_m.shape[1]):
         columns = rr.Transform3D.columns(
@@ -81,12 +97,13 @@ def log_arm(stream: rr.RecordingStream, data: PayloadReviewData) -> None:
         stream.send_columns(entity, indexes=[at_seconds(seconds)], columns=columns)
     if any(joint.is_prismatic for joint in data.arm.joints):
         _log_slides(stream, seconds, poses, reach_m)
-    _log_payload(stream, data, seconds, poses)
+    radius_m = payload_radius_m(data.result.mass_kg, reach_m)
+    _log_payload(stream, data, seconds, poses, radius_m, radius_m + _LABEL * reach_m)
+    return _view(poses, radius_m + _MARGIN * reach_m)
 
 
-def arm_view(data: PayloadReviewData) -> rrb.View:
+def _view(poses: LinkPoses, margin_m: float) -> rrb.View:
     """The camera stands where the path is seen from its front, and all of the arm fits."""
-    _, poses = _shown(data)
     points = poses.position_m.reshape(-1, 3)
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     # Along the normal of the plane that the tool moves in, turned aside and up.
@@ -104,8 +121,6 @@ def arm_view(data: PayloadReviewData) -> rrb.View:
     towards = np.array([level * math.cos(azimuth), level * math.sin(azimuth), math.sin(_UP_RAD)])
     right = np.cross([0.0, 0.0, 1.0], towards)
     right /= np.linalg.norm(right)
-    reach_m = _reach_m(data.arm)
-    margin_m = payload_radius_m(data.result.mass_kg, reach_m) + _MARGIN * reach_m
     off = points - middle
     distances_m = [
         (np.abs(off @ across) + margin_m) / half + off @ towards
@@ -129,38 +144,8 @@ def payload_radius_m(mass_kg: float, reach_m: float) -> float:
     return min(max(water_m, _SMALLEST * reach_m), _LARGEST * reach_m)
 
 
-def _shown(data: PayloadReviewData) -> tuple[Array, LinkPoses]:
-    """Times [s], and the arm's poses: a motion looks smooth with fewer samples than a curve."""
-    rate_hz = 1 / float(np.median(np.diff(data.seconds)))
-    kept = slice(None, None, max(1, round(rate_hz / _MOST_HZ)))
-    return data.seconds[kept], link_poses(data.arm, data.position_rad[kept])
-
-
-def _reach_m(arm: Arm) -> float:
-    """The arm's length along its joints [m]."""
-    steps = [joint.origin_m for joint in arm.joints] + [arm.tool_from_last_m]
-    return max(sum(math.hypot(*step) for step in steps), 1e-3)
-
-
-def _log_ground(stream: rr.RecordingStream, reach_m: float) -> None:
-    tile, half = _TILE * reach_m, _TILES * _TILE * reach_m / 2
-    at = [-half + tile * k for k in range(_TILES + 1)]
-    lines = [[[x, -half, 0], [x, half, 0]] for x in at]
-    lines += [[[-half, y, 0], [half, y, 0]] for y in at]
-    grid = rr.LineStrips3D(lines, colors=[_LINES], radii=screen_radius(0.6))
-    stream.log("scene/ground", grid, static=True)
-    axes = rr.Arrows3D(
-        vectors=_AXIS * reach_m * np.eye(3),
-        colors=_AXES,
-        radii=[0.006 * reach_m],
-        labels=["x", "y", "z"],
-        show_labels=True,
-    )
-    stream.log("scene/base_axes", axes, static=True)
-
-
 def _log_links(stream: rr.RecordingStream, arm: Arm, reach_m: float) -> None:
-    """Each link from its own joint to the next one, in its own frame."""
+    """Each link from its own joint to the next one, in its own frame; the gripper in the last."""
     ends = [joint.origin_m for joint in arm.joints]
     radii = np.linspace(_THICK, _THIN, len(ends) + 1) * reach_m
     stream.log("scene/arm/base", _capsules([((0, 0, 0), ends[0])], [radii[0]], _ARM), static=True)
@@ -169,8 +154,6 @@ def _log_links(stream: rr.RecordingStream, arm: Arm, reach_m: float) -> None:
         if number < len(ends):
             parts = [((0, 0, 0), ends[number])]
             stream.log(entity, _capsules(parts, [radius], _ARM), static=True)
-        else:
-            _log_gripper(stream, arm, entity, radius, reach_m)
         hinge = rr.Ellipsoids3D(
             half_sizes=[[1.25 * radius] * 3], colors=[_JOINT], fill_mode="solid"
         )
@@ -183,22 +166,18 @@ def _log_links(stream: rr.RecordingStream, arm: Arm, reach_m: float) -> None:
             show_labels=True,
         )
         stream.log(f"{entity}/number", label, static=True)
-
-
-def _log_gripper(
-    stream: rr.RecordingStream, arm: Arm, entity: str, radius: float, reach_m: float
-) -> None:
-    """A palm and two fingers up to the tool frame, in the last link's."""
     tip = np.array(arm.tool_from_last_m)
     length = float(np.linalg.norm(tip))
     if length < 1e-3 * reach_m:
         return
+    # The gripper: a palm and two fingers up to the tool frame, in the last link's.
+    entity = f"scene/arm/link_{len(ends)}"
     axes = rotation_from_rpy(arm.tool_from_last_rpy)
     aside = next((axis for axis in axes.T[[1, 2]] if abs(axis @ tip) < 0.7 * length), axes[:, 0])
     aside = aside - (aside @ tip) / length**2 * tip
     aside *= _GRIP * length / np.linalg.norm(aside)
     palm = _PALM_FRACTION * tip
-    stream.log(entity, _capsules([((0, 0, 0), palm)], [radius], _ARM), static=True)
+    stream.log(entity, _capsules([((0, 0, 0), palm)], [radii[-1]], _ARM), static=True)
     fingers = [(palm + side * aside, tip + side * aside) for side in (-1, 1)]
     bones = [(palm - aside, palm + aside), *fingers]
     widths = [_FINGER * reach_m] * len(bones)
@@ -217,18 +196,31 @@ def _log_slides(
 
 
 def _log_payload(
-    stream: rr.RecordingStream, data: PayloadReviewData, seconds: Array, poses: LinkPoses
+    stream: rr.RecordingStream,
+    data: PayloadReviewData,
+    seconds: Array,
+    poses: LinkPoses,
+    radius_m: float,
+    label_m: float,
 ) -> None:
-    reach_m = _reach_m(data.arm)
+    """A ball in the tool frame, its mass in words above it, and the way that it goes.
+
+    Args:
+        stream: of the review.
+        data: of the tuning.
+        seconds: of the poses [s], shape (T,).
+        poses: of the arm.
+        radius_m: of the ball.
+        label_m: of the words above the ball's centre.
+    """
     result, at_m = data.result, np.array(data.com_m)
-    radius_m = payload_radius_m(result.mass_kg, reach_m)
     color = result.color if data.has_estimate else MUTED
     ball = rr.Ellipsoids3D(
         centers=[at_m], half_sizes=[[radius_m] * 3], colors=[color], fill_mode="solid"
     )
     stream.log("scene/arm/tool/payload", ball, static=True)
     centers = poses.position_m[:, -1] + poses.rotation[:, -1] @ at_m
-    over = np.array([0.0, 0.0, radius_m + _LABEL * reach_m])
+    over = np.array([0.0, 0.0, label_m])
     style = rr.Points3D.from_fields(
         labels=[f"{result.mass_kg:.3f} kg" if data.has_estimate else "rejected"],
         colors=[color],

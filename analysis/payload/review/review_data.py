@@ -9,11 +9,9 @@ from numpy.typing import NDArray
 
 from analysis.payload.detection import EFFORT, PayloadDetection
 from analysis.payload.fit_result import PayloadFit
-from analysis.review.charts import Iterates, span_of
+from analysis.record import Tuning
 from analysis.review.drawing import FITTED, Color, ramp
-from analysis.tuning_result import Tuning
 from recorders.simulators.arm.description import Arm
-from recorders.simulators.arm.payload import PAYLOAD_MASS
 from tunenet_logs.arrays import Array
 
 _MOST_JOINTS = 8
@@ -21,9 +19,6 @@ _MOST_JOINTS = 8
 
 _MOST_HZ, _MOST_SAMPLES = 120.0, 3000
 """Of one curve: more can neither be told apart nor be loaded soon."""
-
-_LEAST_SPAN_KG = 0.02
-"""Of the mass's axis: less would make steps of a gram look large."""
 
 _BOLD, _THIN = 1.6, 0.8
 """Widths of the result's curve and of the iterations before [points]."""
@@ -96,19 +91,6 @@ class PayloadReviewData:
         unit = "N" if self.arm.joints[joint].is_prismatic else "N·m"
         return " ".join(filter(None, (f"joint {joint + 1}", what, f"[{unit}]")))
 
-    def iterates(self) -> Iterates:
-        """The mass by iteration."""
-        values = [curve.mass_kg for curve in self.simulated]
-        return Iterates(
-            parameter="mass",
-            unit=PAYLOAD_MASS.unit,
-            names=tuple(curve.name for curve in self.simulated),
-            values=tuple(values),
-            colors=tuple(curve.color for curve in self.simulated),
-            span=span_of([*values, *(self.interval95 or ())], _LEAST_SPAN_KG),
-            interval95=self.interval95,
-        )
-
 
 def payload_review_data(tuning: Tuning) -> PayloadReviewData:
     """From a tuning that found an arm's motion."""
@@ -125,6 +107,23 @@ def payload_review_data(tuning: Tuning) -> PayloadReviewData:
         effort_nm = (fit.predicted_nm + found.effort_nm - fit.effort_nm)[kept]
         label = "fit, friction and offsets too"
         fitted = TorqueCurve("fit", label, FITTED, _BOLD, fit.mass_kg, effort_nm)
+    steps = tuning.trace.steps if tuning.trace else ()
+    simulated: list[TorqueCurve] = []
+    for k, step in enumerate(steps):
+        assert step.evaluation is not None
+        is_last = k == len(steps) - 1
+        name = "refined" if is_last and fit is not None else f"k={k}"
+        mass_kg = float(step.values[0])
+        simulated.append(
+            TorqueCurve(
+                name=name,
+                label=f"{name}  {mass_kg:.4f} kg",
+                color=ramp(k, len(steps)),
+                width=_BOLD if is_last else _THIN,
+                mass_kg=mass_kg,
+                effort_nm=step.evaluation.episode.signals[EFFORT].values[kept],
+            )
+        )
     interval = tuning.interval95
     return PayloadReviewData(
         arm=found.arm,
@@ -135,32 +134,10 @@ def payload_review_data(tuning: Tuning) -> PayloadReviewData:
         felt_nm_per_kg=felt,
         used=found.fit.used,
         order=tuple(np.argsort(-felt, kind="stable")[:_MOST_JOINTS].tolist()),
-        simulated=_simulated(tuning, kept),
+        simulated=tuple(simulated),
         fitted=fitted,
         fit=fit,
         com_m=found.simulator.com_m,
         interval95=None if interval is None else (float(interval[0, 0]), float(interval[0, 1])),
         has_estimate=tuning.estimate is not None,
     )
-
-
-def _simulated(tuning: Tuning, kept: slice) -> tuple[TorqueCurve, ...]:
-    """A curve an iteration, of the samples that are drawn."""
-    steps = tuning.trace.steps if tuning.trace else ()
-    curves: list[TorqueCurve] = []
-    for k, step in enumerate(steps):
-        assert step.evaluation is not None
-        is_last = k == len(steps) - 1
-        name = "refined" if is_last and tuning.trace and tuning.trace.fit else f"k={k}"
-        mass_kg = float(step.values[0])
-        curves.append(
-            TorqueCurve(
-                name=name,
-                label=f"{name}  {mass_kg:.4f} kg",
-                color=ramp(k, len(steps)),
-                width=_BOLD if is_last else _THIN,
-                mass_kg=mass_kg,
-                effort_nm=step.evaluation.episode.signals[EFFORT].values[kept],
-            )
-        )
-    return tuple(curves)

@@ -8,11 +8,19 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from analysis.model_averaging import TWO_SIDED
 from analysis.payload.fit_result import Nuisance, PayloadFit
 from analysis.payload.review.review_data import PayloadReviewData
-from analysis.review.charts import WIDTH, chart_view, filled, log_grid, mixed, ticks
-from analysis.review.drawing import FITTED, screen_radius
+from analysis.review.drawing import (
+    FITTED,
+    WIDTH,
+    chart_view,
+    filled,
+    log_grid,
+    mixed,
+    screen_radius,
+    ticks,
+)
+from analysis.statistics import TWO_SIDED
 from tunenet_logs.arrays import Array
 
 _PRIOR = (70, 74, 86)
@@ -64,27 +72,28 @@ _CHARTS = (
 )
 
 
-def log_terms(stream: rr.RecordingStream, data: PayloadReviewData) -> None:
-    """Send the entities of `term_views`."""
-    _log_felt(stream, data)
-    if data.fit is not None:
-        words = rr.TextDocument(_words(data.fit), media_type="text/markdown")
-        stream.log("terms", words, static=True)
-    for number, (chart, terms) in enumerate(_filled_charts(data.fit)):
-        _log_chart(stream, f"sheets/terms_{number}", chart, terms)
-
-
-def term_views(data: PayloadReviewData) -> list[rrb.View]:
+def log_terms(stream: rr.RecordingStream, data: PayloadReviewData) -> list[rrb.View]:
     """A chart for each kind of term, by joint; first what a kilogram does to each joint."""
+    _log_felt(stream, data)
     felt = "what 1 kg does, dots: what is left [N·m]"
     if data.fitted is None:
         felt = "what 1 kg does to each joint [N·m]"
-    charts = [
-        chart_view(f"terms_{number}", chart.title)
-        for number, (chart, _) in enumerate(_filled_charts(data.fit))
+    views: list[rrb.View] = [chart_view("felt", felt)]
+    if data.fit is not None:
+        words = rr.TextDocument(_words(data.fit), media_type="text/markdown")
+        stream.log("terms", words, static=True)
+        views.append(rrb.TextDocumentView(origin="/terms", name="in words"))
+    named = [
+        (term.name.rpartition(" ")[0], term) for term in (data.fit.nuisances if data.fit else ())
     ]
-    words = [rrb.TextDocumentView(origin="/terms", name="in words")] if data.fit else []
-    return [chart_view("felt", felt), *words, *charts]
+    number = 0
+    for chart in _CHARTS:
+        terms = [[term for name, term in named if name == ending] for ending in chart.endings]
+        if all(terms):
+            _log_chart(stream, f"sheets/terms_{number}", chart, terms)
+            views.append(chart_view(f"terms_{number}", chart.title))
+            number += 1
+    return views
 
 
 def _words(fit: PayloadFit) -> str:
@@ -109,16 +118,6 @@ def _words(fit: PayloadFit) -> str:
         f"{fit.bound_kg:.4f} kg."
     )
     return "\n\n".join(lines)
-
-
-def _filled_charts(fit: PayloadFit | None) -> list[tuple[_Chart, list[list[Nuisance]]]]:
-    """Those of which a fit has terms, with these, a list an ending."""
-    named = [(term.name.rpartition(" ")[0], term) for term in (fit.nuisances if fit else ())]
-    charts = [
-        (chart, [[term for name, term in named if name == ending] for ending in chart.endings])
-        for chart in _CHARTS
-    ]
-    return [(chart, terms) for chart, terms in charts if all(terms)]
 
 
 def _log_chart(

@@ -12,10 +12,17 @@ import rerun.blueprint as rrb
 from analysis.campaign.attempts import Attempt
 from analysis.campaign.tuned_drop import TunedDrop
 from analysis.review.campaign.times import ATTEMPT, FILM, WALL, Shown, Slot, at_attempts
-from analysis.review.charts import chart_view, log_grid, ticks
-from analysis.review.drawing import FAILURE, OBSERVED, Color, screen_radius
+from analysis.review.drawing import (
+    FAILURE,
+    OBSERVED,
+    Color,
+    chart_view,
+    log_grid,
+    screen_radius,
+    ticks,
+)
 from tunenet_logs.arrays import Array
-from tunenet_logs.text import one_line
+from tunenet_logs.terminal import one_line
 
 _WIDTH = 1.9
 """Of the chart of curves, in its heights: about the shape of its view."""

@@ -10,9 +10,18 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from analysis.campaign.rates import BallRestitutions, Rate
-from analysis.review.charts import filled, mixed, ticks
-from analysis.review.drawing import GROUND, MUTED, OBSERVED, SUCCESS, Color, screen_radius
-from tunenet_logs.text import short_name
+from analysis.review.drawing import (
+    GROUND,
+    MUTED,
+    OBSERVED,
+    SUCCESS,
+    Color,
+    filled,
+    mixed,
+    screen_radius,
+    ticks,
+)
+from tunenet_logs.terminal import short_name
 
 _WIDTH, _NAMES, _FIGURES = 1.25, 0.6, 0.85
 """Of the chart in its heights, of the names left of it, and of the figures right of it."""

@@ -10,9 +10,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from analysis.review.campaign.times import ATTEMPT, FILM, WALL, Slot
-from analysis.review.charts import mixed
-from analysis.review.drawing import FAILURE, MUTED, SUCCESS, Color
-from tunenet_logs.text import one_line
+from analysis.review.drawing import FAILURE, MUTED, SUCCESS, Color, mixed
+from tunenet_logs.terminal import one_line
 
 _BALLS: tuple[Color, ...] = (
     (90, 130, 190),

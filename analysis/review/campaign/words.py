@@ -15,8 +15,8 @@ from analysis.campaign.rates import (
     overall_rates,
     restitutions_by_ball,
 )
-from analysis.review.words import table
-from tunenet_logs.text import one_line
+from analysis.report import markdown_table
+from tunenet_logs.terminal import one_line
 
 
 def campaign_words(campaign: Campaign) -> str:
@@ -46,7 +46,7 @@ def _rates(rates: Sequence[Rate]) -> str:
         ends = f"{100 * low:.0f} to {100 * high:.0f} %" if rate.count else "-"
         paper = "" if rate.published is None else f"{100 * rate.published:.0f} %"
         rows.append((one_line(rate.name), f"{rate.successes}/{rate.count}", fraction, ends, paper))
-    return table(("of", "successes", "rate", "95 % (Wilson)", "paper"), rows)
+    return markdown_table(("of", "successes", "rate", "95 % (Wilson)", "paper"), rows)
 
 
 def _restitutions(balls: Sequence[BallRestitutions]) -> str:
@@ -61,7 +61,7 @@ def _restitutions(balls: Sequence[BallRestitutions]) -> str:
         rows.append(
             (one_line(ball.name), str(len(ball.values)), f"{ball.mean:.4f}", sd, ends, interval)
         )
-    return table(("ball", "drops", "mean", "sd", "least to most", "usual 95 %"), rows)
+    return markdown_table(("ball", "drops", "mean", "sd", "least to most", "usual 95 %"), rows)
 
 
 def _misses(attempts: Sequence[Attempt]) -> str:

@@ -18,7 +18,7 @@ from recorders.simulators.arm.rigid_bodies import (
 )
 from recorders.simulators.arm.urdf_reading import FileJoint, FileRobot, read_urdf
 from tunenet_logs.errors import UsageError
-from tunenet_logs.text import listed, short_name
+from tunenet_logs.terminal import listed, short_name
 
 PAYLOAD_RADIUS_M = 0.04
 """Of the solid ball that stands for a payload: torques do not identify its own inertia."""
@@ -80,11 +80,6 @@ class Payload:
         if len(self.com_m) != 3 or not all(abs(value) <= _MOST_OFFSET_M for value in self.com_m):
             raise UsageError(f"payload centre {self.com_m} is not three numbers within 10 m")
 
-    def inertial(self) -> Inertial:
-        """As a solid ball about its centre of mass, in the tool frame."""
-        ball = solid_sphere(self.mass_kg, PAYLOAD_RADIUS_M)
-        return Inertial(ball.mass_kg, self.com_m, ball.inertia_kg_m2)
-
 
 @dataclass(frozen=True)
 class Arm:
@@ -141,7 +136,8 @@ class Arm:
             )
             parent = child
         if payload is not None and payload.mass_kg > 0:
-            _link(robot, "payload", payload.inertial())
+            ball = solid_sphere(payload.mass_kg, PAYLOAD_RADIUS_M)
+            _link(robot, "payload", replace(ball, com_m=payload.com_m))
             element = ET.SubElement(robot, "joint", name="payload_mount", type="fixed")
             _ends(element, parent, "payload", self.tool_from_last_m, self.tool_from_last_rpy)
         return ET.tostring(robot, encoding="unicode")
@@ -162,9 +158,7 @@ def read_arm(path: Path, tool_link: str) -> Arm:
     """
     robot = read_urdf(path)
     chain = _chain(path, robot, tool_link)
-    movers = [joint for joint in chain if joint.kind != "fixed"]
-    _check_movers(path, movers, tool_link)
-    carried = _carried(path, robot, {joint.child for joint in movers})
+    carried = _carried(path, robot, {joint.child for joint in chain if joint.kind != "fixed"})
     joints: list[Joint] = []
     before = IDENTITY
     for joint in chain:
@@ -204,7 +198,11 @@ def jaco() -> Arm:
 
 
 def _chain(path: Path, robot: FileRobot, tool_link: str) -> list[FileJoint]:
-    """The joints from the base to the tool."""
+    """The joints from the base to the tool.
+
+    Raises:
+        UsageError: no such link, a loop, or joints that are not an arm's.
+    """
     if tool_link not in robot.links:
         raise UsageError(
             f"{path}: has no link {short_name(tool_link)}; --tool-link is one of "
@@ -218,10 +216,7 @@ def _chain(path: Path, robot: FileRobot, tool_link: str) -> list[FileJoint]:
         if link in seen:
             raise UsageError(f"{path}: link {short_name(link)} hangs on itself in a loop")
         seen.add(link)
-    return chain[::-1]
-
-
-def _check_movers(path: Path, movers: list[FileJoint], tool_link: str) -> None:
+    movers = [joint for joint in reversed(chain) if joint.kind != "fixed"]
     if not 1 <= len(movers) <= _MOST_JOINTS:
         raise UsageError(
             f"{path}: {len(movers)} joints move link {short_name(tool_link)}, an arm has 1 to "
@@ -239,6 +234,7 @@ def _check_movers(path: Path, movers: list[FileJoint], tool_link: str) -> None:
                 f"{path}: joint {name} follows another one (<mimic>) but is on the way to "
                 f"{short_name(tool_link)}; choose a --tool-link before the fingers"
             )
+    return chain[::-1]
 
 
 def _carried(path: Path, robot: FileRobot, movers: set[str]) -> dict[str, list[Inertial]]:

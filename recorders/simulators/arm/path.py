@@ -1,4 +1,4 @@
-"""How an arm moves: the paper's circle, random smooth motions, and a user's own."""
+"""How an arm moves: the paper's circle, random smooth motions, a user's own; forward kinematics."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from recorders.simulators.arm.description import Arm
-from recorders.simulators.arm.kinematics import link_positions_m
 from recorders.simulators.arm.path_file import read_path_file
+from recorders.simulators.arm.rigid_bodies import Transform
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import UsageError
 
@@ -89,6 +89,52 @@ class JointPath:
                     f"{low:.3f} and {high:.3f}; choose another path"
                 )
         return self
+
+
+@dataclass(frozen=True, eq=False)
+class LinkPoses:
+    """Frames of an arm's base, of each joint's link and of its tool, in that order.
+
+    Attributes:
+        position_m: origins in the base's frame, shape (T, J + 2, 3).
+        rotation: axes as columns, shape (T, J + 2, 3, 3).
+    """
+
+    position_m: Array
+    rotation: Array
+
+
+def link_poses(arm: Arm, position_rad: ArrayLike) -> LinkPoses:
+    """Forward kinematics; `position_rad` has shape (T, J)."""
+    angles = np.asarray(position_rad, np.float64)
+    samples = len(angles)
+    origin = np.zeros((samples, 3))
+    rotation = np.broadcast_to(np.eye(3), (samples, 3, 3))
+    origins, rotations = [origin], [rotation]
+    for index, joint in enumerate(arm.joints):
+        at = Transform.at(joint.origin_m, joint.origin_rpy)
+        axis, moved = np.array(joint.axis), angles[:, index]
+        origin = origin + rotation @ at.origin_m
+        rotation = rotation @ at.rotation
+        if joint.is_prismatic:
+            origin = origin + (rotation @ axis) * moved[:, None]
+        else:
+            # Rodrigues' formula, for all samples at once.
+            x, y, z = axis
+            cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+            sine, rest = np.sin(moved)[:, None, None], (1 - np.cos(moved))[:, None, None]
+            rotation = rotation @ (np.eye(3) + sine * cross + rest * (cross @ cross))
+        origins.append(origin)
+        rotations.append(rotation)
+    tool = Transform.at(arm.tool_from_last_m, arm.tool_from_last_rpy)
+    origins.append(origin + rotation @ tool.origin_m)
+    rotations.append(rotation @ tool.rotation)
+    return LinkPoses(np.stack(origins, axis=1), np.stack(rotations, axis=1))
+
+
+def link_positions_m(arm: Arm, position_rad: ArrayLike) -> Array:
+    """Origins of base, joints' links and tool in the base's frame, shape (T, J + 2, 3)."""
+    return link_poses(arm, position_rad).position_m
 
 
 def sample_times(rate_hz: float, seconds: float) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import LogError, UsageError
-from tunenet_logs.text import short_name
+from tunenet_logs.terminal import short_name
 
 _MOST_ROWS, _MOST_COLUMNS, _MOST_RAD, _MOST_S = 200_000, 100, 1000.0, 3600.0
 """An hour at 50 Hz, more joints and turns than an arm has: beyond it, a file is no path."""

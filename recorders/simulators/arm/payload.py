@@ -11,8 +11,7 @@ from recorders.simulators.arm.description import Arm, Payload
 from recorders.simulators.arm.dynamics import UPRIGHT_GRAVITY_M_S2, joint_efforts_nm
 from recorders.simulators.arm.path import JointPath
 from recorders.simulators.arm.rollout import CALIBRATED, RolloutSettings, roll_out
-from recorders.simulators.base import Parameter
-from recorders.simulators.engines import engine
+from recorders.simulators.base import Parameter, engine
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import UsageError
@@ -44,11 +43,7 @@ class PayloadSimulator:
         self.com_m = com_m
         self.gravity_m_s2 = gravity_m_s2
         self.engine = engine().name
-
-    @property
-    def step_hz(self) -> float:
-        """Torques a second along the path [Hz], by its median spacing."""
-        return 1 / float(np.median(np.diff(self.path.seconds)))
+        self.step_hz = 1 / float(np.median(np.diff(path.seconds)))
 
     @cached_property
     def empty_efforts_nm(self) -> Array:

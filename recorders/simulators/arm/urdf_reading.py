@@ -12,7 +12,7 @@ import numpy as np
 
 from recorders.simulators.arm.rigid_bodies import NOTHING, Inertial, Transform
 from tunenet_logs.errors import UsageError
-from tunenet_logs.text import short_name
+from tunenet_logs.terminal import short_name
 
 _MOST_BYTES, _MOST_PARTS = 4_000_000, 1000
 """Size and links of a file: more than any arm's; a larger one is refused before it costs time."""
@@ -108,17 +108,17 @@ def _root(path: Path) -> ET.Element:
         raise UsageError(f"{path}: is not XML ({error}); --urdf takes a robot's URDF") from error
     if root.tag != "robot":
         raise UsageError(f"{path}: begins with <{short_name(root.tag)}>, a URDF with <robot>")
-    if any(_is_xacro(element) for element in root.iter()):
+    is_xacro = any(
+        "xacro" in element.tag or any("${" in value for value in element.attrib.values())
+        for element in root.iter()
+    )
+    if is_xacro:
         stem = path.name.removesuffix(".xacro").removesuffix(".urdf")
         expanded = f"{stem}.urdf" if path.suffix == ".xacro" else f"{stem}_expanded.urdf"
         raise UsageError(f"{path}: is xacro; expand it first: xacro {path.name} > {expanded}")
     if len(root) > 10 * _MOST_PARTS or len(root.findall("link")) > _MOST_PARTS:
         raise UsageError(f"{path}: over {_MOST_PARTS} links, so no URDF of an arm")
     return root
-
-
-def _is_xacro(element: ET.Element) -> bool:
-    return "xacro" in element.tag or any("${" in value for value in element.attrib.values())
 
 
 class _Place:
@@ -197,7 +197,16 @@ def _joint(place: _Place, links: Mapping[str, Inertial]) -> FileJoint:
     if kind in ("revolute", "continuous", "prismatic") and length < 1e-6:
         raise place.wrong('has an <axis> of no direction; give one, such as xyz="0 0 1"')
     x, y, z = (float(value) for value in axis / max(length, 1e-6))
-    limits, max_velocity, max_effort = _limits(place, kind)
+    limits = (-math.inf, math.inf)
+    if kind in ("revolute", "prismatic") and place.element.find("limit") is not None:
+        (low,) = place.numbers("limit", "lower", 1, _MOST_LIMIT, "0")
+        (high,) = place.numbers("limit", "upper", 1, _MOST_LIMIT, "0")
+        if low > high:
+            raise place.wrong(f"has a lower limit of {low:g} and an upper one of {high:g}")
+        limits = (low, high)
+    # A greatest speed or effort of 0 stands for none.
+    (velocity,) = place.numbers("limit", "velocity", 1, math.inf, "0")
+    (effort,) = place.numbers("limit", "effort", 1, math.inf, "0")
     return FileJoint(
         name=place.name,
         kind=kind,
@@ -206,21 +215,7 @@ def _joint(place: _Place, links: Mapping[str, Inertial]) -> FileJoint:
         origin=Transform.at(*place.frame("origin")),
         axis=(x, y, z),
         limits=limits,
-        max_velocity=max_velocity,
-        max_effort=max_effort,
+        max_velocity=velocity if velocity > 0 else math.inf,
+        max_effort=effort if effort > 0 else math.inf,
         is_mimic=place.element.find("mimic") is not None,
     )
-
-
-def _limits(place: _Place, kind: str) -> tuple[tuple[float, float], float, float]:
-    """Limits of position, greatest speed and effort; a speed or effort of 0 stands for none."""
-    limits = (-math.inf, math.inf)
-    if kind in ("revolute", "prismatic") and place.element.find("limit") is not None:
-        (low,) = place.numbers("limit", "lower", 1, _MOST_LIMIT, "0")
-        (high,) = place.numbers("limit", "upper", 1, _MOST_LIMIT, "0")
-        if low > high:
-            raise place.wrong(f"has a lower limit of {low:g} and an upper one of {high:g}")
-        limits = (low, high)
-    (velocity,) = place.numbers("limit", "velocity", 1, math.inf, "0")
-    (effort,) = place.numbers("limit", "effort", 1, math.inf, "0")
-    return limits, velocity if velocity > 0 else math.inf, effort if effort > 0 else math.inf

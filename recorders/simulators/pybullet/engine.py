@@ -1,4 +1,4 @@
-"""What PyBullet offers as an engine; see `recorders.simulators.engines.Engine`.
+"""What PyBullet offers as an engine; see `recorders.simulators.base.Engine`.
 
 It is imported when first needed, and without its greeting on standard error.
 """
@@ -61,7 +61,7 @@ def pybullet() -> ModuleType:
 
 
 class BulletBallWorld:
-    """One physics client with a plane and a ball; see `recorders.simulators.engines.BallWorld`."""
+    """One physics client with a plane and a ball; see `recorders.simulators.base.BallWorld`."""
 
     engine = name
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from recorders.simulators.shot.rig import Hoop, Plane, Release, ShotBall, ShotRig
 from tunenet_logs.errors import UsageError
-from tunenet_logs.text import one_line, short_name
+from tunenet_logs.terminal import one_line, short_name
 
 _LARGEST_BYTES = 100_000
 _PARTS: Mapping[str, type] = {"ball": ShotBall, "plane": Plane, "hoop": Hoop, "release": Release}

@@ -15,7 +15,7 @@ from recorders.simulated_drop import DropOrder, simulate_drop
 from tests.conftest import record
 from tunenet_logs.episode import Signal
 from tunenet_logs.outcome import Outcome, write_outcome
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 START_NS = 1_800_000_000_000_000_000
 MINUTE_NS = 60_000_000_000

@@ -20,8 +20,8 @@ from tests.analysis.campaign.campaigns import MINUTE_NS, START_NS
 from tunenet_logs.errors import LogError, UsageError
 from tunenet_logs.images import decode_image
 from tunenet_logs.outcome import BOUNCE_SHOT, Outcome
-from tunenet_logs.progress import Progress
 from tunenet_logs.reader import read_episode
+from tunenet_logs.terminal import Progress
 
 QUIET = Progress(quiet=True)
 

@@ -14,13 +14,12 @@ from analysis.drop.review.bounces import bounce_view
 from analysis.drop.review.film import film_positions, model_path
 from analysis.drop.review.review_data import review_data
 from analysis.estimators.base import FitResult
-from analysis.record import Rebound, record_of
+from analysis.record import Rebound, Tuning, record_of
 from analysis.record_json import to_json
+from analysis.report import result_words
 from analysis.review.tuning_review import write_review
-from analysis.review.words import result_words
 from analysis.selection import Options
 from analysis.tuning import tune_log
-from analysis.tuning_result import Tuning
 from tests.analysis.drop.test_review import contents, verified
 
 RESTITUTIONS = (0.700, 0.712, 0.731)

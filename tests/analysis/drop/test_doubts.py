@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from analysis.record import Tuning
 from analysis.selection import Options, Selection
 from analysis.tuning import tune_log
-from analysis.tuning_result import Tuning
 from recorders.session import record_episode
 from tests.conftest import record
 from tests.strangers import Stranger, bounce_heights, without_chunks, write_poses
 from tunenet_logs.episode import Episode, EpisodeInfo
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 
 def value(tuning: Tuning) -> float:

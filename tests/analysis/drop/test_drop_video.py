@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from analysis.record import Tuning
 from analysis.selection import Hints, Options, Selection
 from analysis.tuning import tune_log
-from analysis.tuning_result import Tuning
 from recorders.filmed_drop import FilmOrder, film_drop
 from recorders.session import record_episode
 from recorders.simulated_drop import DropOrder
@@ -22,8 +22,8 @@ from tests.strangers import Stranger, write_poses
 from tunenet_logs import messages
 from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.errors import UsageError
-from tunenet_logs.progress import Progress
 from tunenet_logs.reader import read_episode
+from tunenet_logs.terminal import Progress
 from tunenet_logs.writer import EpisodeWriter
 
 SAMPLE = ROOT / "sample_logs" / "filmed.mcap"

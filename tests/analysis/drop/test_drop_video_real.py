@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from analysis import batch
+from analysis.record import Tuning
 from analysis.tuning import tune_log
-from analysis.tuning_result import Tuning
 from tests.analysis.films import short_film
 from tests.conftest import Command, Made, real
 from tunenet_logs.reader import read_episode

@@ -17,7 +17,7 @@ from analysis.tunenet.network import Model
 from recorders.simulators.balls import Ball
 from recorders.simulators.contact import CALIBRATED
 from recorders.simulators.drop import DropRig, DropSimulator
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 RIG = DropRig(1.0, 0.03, 60.0, 180, 0.2)
 EXPERIMENT = DropFromFilm()

@@ -9,8 +9,7 @@ import pytest
 
 from analysis.drop.film import FilmedDrop, find_filmed_drop
 from analysis.drop.film_checks import clock_test, size_trend
-from analysis.drop.film_restitution import film_rebounds, film_value
-from analysis.drop.rebounds import flight_ratio
+from analysis.drop.film_restitution import film_rebounds, film_value, flight_ratio
 from analysis.evaluation.track_tuning import tune_track
 from analysis.evaluation.video.fault_tracks import TRACK_FAULTS, TrackFault
 from analysis.evaluation.video.tracks import (

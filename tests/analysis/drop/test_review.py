@@ -13,11 +13,10 @@ from rerun.chunk import RrdReader
 
 from analysis.drop.review.film import film_positions
 from analysis.drop.review.review_data import review_data
-from analysis.record import record_of
+from analysis.record import Tuning, record_of
 from analysis.review.tuning_review import write_review
 from analysis.selection import Options
 from analysis.tuning import tune_log
-from analysis.tuning_result import Tuning
 from tests.conftest import BIN, record
 from tests.strangers import Stranger, write_poses
 from tunenet_logs.episode import EpisodeInfo

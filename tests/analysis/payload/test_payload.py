@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from analysis.record import Tuning
 from analysis.selection import Options, Selection
 from analysis.tuning import tune_episode, tune_log
-from analysis.tuning_result import Tuning
 from recorders.session import record_episode
 from recorders.simulated_payload import PayloadOrder, simulate_payload
 from recorders.simulators.arm.description import JACO_TOOL_LINK, JACO_URDF, Payload, jaco
@@ -21,8 +21,8 @@ from recorders.simulators.arm.payload import joint_signals
 from tests.conftest import Command, real
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import UsageError
-from tunenet_logs.progress import Progress
 from tunenet_logs.reader import read_episode
+from tunenet_logs.terminal import Progress
 
 TWO_JOINTS = """\
 <robot name="two">

@@ -11,13 +11,12 @@ from rerun.chunk import RrdReader
 
 from analysis.payload.review.arm_scene import payload_radius_m
 from analysis.payload.review.review_data import payload_review_data
-from analysis.record import record_of
+from analysis.record import Tuning, record_of
 from analysis.review.tuning_review import write_review
 from analysis.selection import Options, Selection
 from analysis.tuning import tune_episode, tune_log
-from analysis.tuning_result import Tuning
 from recorders.simulated_payload import PayloadOrder, simulate_payload
-from recorders.simulators.arm.kinematics import link_positions_m
+from recorders.simulators.arm.path import link_positions_m
 from tests.analysis.drop.test_review import contents, verified
 from tests.analysis.payload.test_payload import TWO_JOINTS, record
 from tests.conftest import real

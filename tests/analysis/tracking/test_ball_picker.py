@@ -24,8 +24,8 @@ from tests.analysis.tracking.test_thumbnails import episode_of
 from tests.conftest import BIN, Command
 from tests.pages import Page, assert_for_this_machine_alone
 from tunenet_logs.episode import EpisodeInfo, Frame
-from tunenet_logs.progress import Progress
 from tunenet_logs.reader import read_episode
+from tunenet_logs.terminal import Progress
 
 BALL_PX, BALL_PICTURE = (159.5, 119.0), 21
 """Where the ball of `film` is in flight."""

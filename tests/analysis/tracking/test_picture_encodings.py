@@ -13,12 +13,11 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
-from analysis.record import record_of
+from analysis.record import Tuning, record_of
 from analysis.review.tuning_review import write_review
 from analysis.selection import Options
 from analysis.tracking.thumbnails import album_of
 from analysis.tuning import tune_log
-from analysis.tuning_result import Tuning
 from tests.analysis.films import short_film
 from tests.conftest import Made
 from tests.picture_strangers import (

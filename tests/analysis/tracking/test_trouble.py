@@ -12,8 +12,7 @@ from analysis.drop.film import find_filmed_drop
 from analysis.tracking.background import middle_of
 from analysis.tracking.candidates import Candidates
 from analysis.tracking.pictures import Pictures
-from analysis.tracking.redetection import Redetection
-from analysis.tracking.track import Track, track_ball
+from analysis.tracking.track import Redetection, Track, track_ball
 from recorders.simulated_drop import simulate_drop
 from recorders.simulators.drop import TOPIC
 from tests.analysis.films import CAMERA, ORDER, rendered_ball

@@ -12,7 +12,7 @@ from analysis.drop.presets import TRAININGS
 from analysis.tunenet.network import initial_weights
 from analysis.tunenet.pairs import mixed_pairs
 from analysis.tunenet.training import one_step_error, train
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 QUIET = Progress(quiet=True)
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-_MOST_SHARE = 0.05
-"""From which share of the rows on it is not the file that is damaged, but us who misread it."""
+_MAX_UNREADABLE_FRACTION = 0.05
+"""Of the rows: with more of them it is not the file that is damaged, but us who misread it."""
 
 # What to do about a cell or a row.
 NUMBER_REMEDY = "write numbers as 1050.25"
@@ -50,7 +50,7 @@ class Failures:
 
     def lost(self, rows: int) -> str:
         """What to say of them where the other rows are used."""
-        line, error = min(self._first.values(), key=lambda one: one[0])
+        line, error = min(self._first.values(), key=lambda failure: failure[0])
         return (
             f"{len(self)} of {rows} rows could not be read and were left out "
             f"(the first is line {line}, {error})"
@@ -59,7 +59,7 @@ class Failures:
     def refusal(self, rows: int) -> str:
         """Why the table should not be used; "" where the rows are too few to say so."""
         count = self._counts[False]
-        if count < 2 or count <= _MOST_SHARE * rows:
+        if count < 2 or count <= _MAX_UNREADABLE_FRACTION * rows:
             return ""
         return f"{count} of {rows} rows cannot be read; {self._first_failure(is_damage=False)}"
 

@@ -54,8 +54,8 @@ def open_table(path: Path) -> OpenTable:
                 break
         except ValueError as error:
             raise LogError(f"{path}: line {number}: {error}") from error
-    found = (one for one in (before.header, before.commented) if one is not None and one.groups)
-    layout = next(found, None)
+    layouts = (before.header, before.commented)
+    layout = next((made for made in layouts if made is not None and made.groups), None)
     if layout is None:
         raise LogError(f"{path}: {before.refusal()}")
     return _with_units(path, OpenTable(layout, lines), before.length)
@@ -170,7 +170,7 @@ def _readings(line: str) -> Iterator[tuple[str | None, list[str]]]:
     has_marks = any(mark in line for mark in SEPARATORS if mark)
     for separator in SEPARATORS:
         if separator or not has_marks:  # "Time (s),X" has a space too
-            yield separator, [one.strip() for one in cells_of(line, separator)]
+            yield separator, [cell.strip() for cell in cells_of(line, separator)]
 
 
 def _layout(line: str) -> TableLayout | None:
@@ -180,7 +180,7 @@ def _layout(line: str) -> TableLayout | None:
         for separator, cells in _readings(line)
         if (layout := table_layout_of(cells, separator)) is not None
     ]
-    return next((one for one in found if one.groups), found[0] if found else None)
+    return next((layout for layout in found if layout.groups), found[0] if found else None)
 
 
 def _is_row(line: str) -> bool:

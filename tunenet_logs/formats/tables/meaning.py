@@ -14,6 +14,7 @@ LENGTHS = {
     **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "millimetres"), 0.001),
 }
 """Units of lengths [m]."""
+
 POWERS = {
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 0),
     **dict.fromkeys(("ms", "msec", "msecs", "millis", "milliseconds"), -3),

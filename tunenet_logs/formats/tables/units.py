@@ -28,6 +28,7 @@ _WORDS = frozenset(
     )
 )
 """Words of units, those that are not read too: a row of them is no row of numbers."""
+
 _NONE = frozenset(("", "-", "1"))
 """Cells of a row of units that say none."""
 

@@ -17,7 +17,7 @@ from analysis.evaluation.motion.one_step.layers import (
 )
 from analysis.evaluation.motion.one_step.vrnn import Scales, VrnnHybrid, VrnnSizes, gaussian, joined
 from tunenet_logs.arrays import Array
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 if TYPE_CHECKING:
     import torch

@@ -41,7 +41,7 @@ from analysis.tunenet.checkpoint import shipped_model
 from recorders.simulators.contact import PAPER
 from tests.analysis.drop.test_review import verified
 from tests.conftest import ROOT, Command
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 QUIET = Progress(quiet=True)
 EASY_CELL = Cell("drop", "paper", "Easy", 0.0)

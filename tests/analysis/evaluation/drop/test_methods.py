@@ -27,7 +27,7 @@ from analysis.tunenet.training import train
 from recorders.simulators.base import Simulator
 from recorders.simulators.contact import CALIBRATED, PAPER
 from tunenet_logs.episode import Episode
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 QUIET = Progress(quiet=True)
 PRESET = TRAININGS["paper-code"]

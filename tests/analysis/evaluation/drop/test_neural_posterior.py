@@ -26,7 +26,7 @@ from analysis.evaluation.drop.targets import EASY, DropProblems, DropTarget, dra
 from analysis.evaluation.methods.neural_posterior import GridDensity, NeuralPosterior, middles
 from analysis.evaluation.methods.sbi_network import SbiPosterior, train_posterior
 from recorders.simulators.contact import PAPER
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 QUIET = Progress(quiet=True)
 HALF_95 = 1.959964

@@ -22,7 +22,7 @@ from recorders.filmed_drop import FilmOrder, film_drop
 from recorders.simulated_drop import DropOrder
 from recorders.simulators.drop import TOPIC
 from recorders.simulators.pinhole import PinholeCamera
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 QUIET = Progress(quiet=True)
 TARGET = DropTarget(4.4, 0.4, 0.62, seed=3)

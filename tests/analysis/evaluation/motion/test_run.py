@@ -31,7 +31,7 @@ from analysis.evaluation.motion.run import (
     tuning_errors,
 )
 from analysis.tunenet.checkpoint import shipped_model
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 QUIET = Progress(quiet=True)
 SHORT = OneStepTraining(

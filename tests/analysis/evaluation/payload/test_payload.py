@@ -13,7 +13,7 @@ from analysis.evaluation.payload.logs import CASES, LogCase, log_rows, row_of
 from analysis.evaluation.payload.masses import METHODS, SETS, MassOrder, MassRow, mass_rows
 from analysis.evaluation.payload.tables import log_table, mass_table
 from analysis.tunenet.network import HomogeneousNetwork, initial_weights
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 QUIET = Progress(quiet=True)
 ORDER = MassOrder((1, 2), 60, 2, pairs=600, epochs=10)

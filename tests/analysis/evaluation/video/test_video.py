@@ -25,7 +25,7 @@ from analysis.evaluation.video.sections import (
     outcomes_of,
 )
 from analysis.evaluation.video.tables import overall, section_table, video_blocks
-from tunenet_logs.progress import Progress
+from tunenet_logs.terminal import Progress
 
 QUIET = Progress(quiet=True)
 NAN = np.nan

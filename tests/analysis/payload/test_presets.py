@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.payload.readings import CIRCLE_S, circle_phase_s, paper_torques, payload_readings
+from analysis.payload.presets import CIRCLE_S, circle_phase_s, paper_torques, payload_readings
 from recorders.simulators.arm.description import jaco
 from recorders.simulators.arm.path import JointPath, circle_at
 

@@ -1,7 +1,8 @@
-"""Torques, a chart a joint: observed with all iterations, their residuals, and one iteration's.
+"""The review of a payload: torques, the arm in 3D, the mass, and what else is in the torques.
 
-Over the log's time stand all iterations and what they differ by from the observed torques; on the
-iterations' timeline, what one iteration's payload adds to the empty arm's.
+Over the log's time stand the torques of all iterations and what they differ by from the observed
+ones; on the iterations' timeline, what one iteration's payload adds to the empty arm's. The arm is
+in `arm_scene`, friction and what else is in the torques in `terms`.
 """
 
 from __future__ import annotations
@@ -12,9 +13,32 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from analysis.payload.review.review_data import PayloadReviewData, TorqueCurve
-from analysis.review.charts import WIDTH, chart_view, log_grid, ticks
-from analysis.review.drawing import MUTED, OBSERVED, by_iteration, screen_radius, send_scalars
+from analysis.payload.review.arm_scene import log_arm
+from analysis.payload.review.review_data import (
+    PayloadReviewData,
+    TorqueCurve,
+    payload_review_data,
+)
+from analysis.payload.review.terms import log_terms
+from analysis.record import Tuning
+from analysis.review.drawing import (
+    ITERATION,
+    LOG_TIME,
+    MUTED,
+    OBSERVED,
+    WIDTH,
+    Iterates,
+    by_iteration,
+    chart_view,
+    iterates_view,
+    log_grid,
+    log_iterates,
+    screen_radius,
+    send_scalars,
+    span_of,
+    ticks,
+)
+from recorders.simulators.arm.payload import PAYLOAD_MASS
 from tunenet_logs.arrays import Array
 
 _MANY_SAMPLES = 150
@@ -33,28 +57,108 @@ _ROOM = 0.05
 _KEY_LINE = 0.3
 """Length of a line in the key, of what an entry takes up."""
 
+_ONE_COLUMN = 3
+"""Joints whose charts lie one over the other; more take two columns."""
 
-def log_torques(stream: rr.RecordingStream, data: PayloadReviewData) -> None:
-    """Send the entities of `torque_views`."""
+_LEAST_SPAN_KG = 0.02
+"""Of the mass's axis: less would make steps of a gram look large."""
+
+
+def log_payload(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
+    """Send all that is drawn of it; three tabs: to play, to scrub, and what else is in it."""
+    data = payload_review_data(tuning)
+    masses_kg = [curve.mass_kg for curve in data.simulated]
+    iterates = Iterates(
+        parameter="mass",
+        unit=PAYLOAD_MASS.unit,
+        names=tuple(curve.name for curve in data.simulated),
+        values=tuple(masses_kg),
+        colors=tuple(curve.color for curve in data.simulated),
+        span=span_of([*masses_kg, *(data.interval95 or ())], _LEAST_SPAN_KG),
+        interval95=data.interval95,
+    )
+    torques, residuals = _log_torques(stream, data)
+    key = _log_key(stream, data)
+    arm = log_arm(stream, data)
+    log_iterates(stream, iterates, float(data.seconds[0]))
+    sheets = _log_sheets(stream, data)
+    terms = log_terms(stream, data)
+    curves = rrb.Horizontal(rrb.Vertical(*torques), rrb.Vertical(*residuals))
+    overlay = rrb.Horizontal(
+        rrb.Vertical(arm, iterates_view(iterates), row_shares=[5, 2.4]),
+        rrb.Vertical(key, curves, row_shares=[0.55, 8]),
+        rrb.TextDocumentView(origin="/result", name="result"),
+        column_shares=[4, 5.8, 5],
+        name=f"overlay (timeline {LOG_TIME})",
+    )
+    step = rrb.TextDocumentView(origin="/step", name="iteration")
+    scrub = rrb.Horizontal(
+        rrb.Grid(*sheets, grid_columns=2 if len(sheets) > _ONE_COLUMN else 1),
+        rrb.Vertical(step, iterates_view(iterates)),
+        column_shares=[5, 3],
+        name=f"scrub (timeline {ITERATION})",
+    )
+    others = rrb.Grid(*terms, grid_columns=3, name="what else is in the torques")
+    return rrb.Tabs(overlay, scrub, others, active_tab=0)
+
+
+def _log_torques(
+    stream: rr.RecordingStream, data: PayloadReviewData
+) -> tuple[list[rrb.View], list[rrb.View]]:
+    """Two charts a joint: observed dots under the lines of all iterations, and their residuals.
+
+    A torque's axis shows what was observed and the result; guesses before it may run off. That of
+    residuals has the scale of the result's of most joints.
+    """
     size = 1.0 if len(data.seconds) > _MANY_SAMPLES else 1.5
+    curves = {"iterations": data.simulated}
+    if data.fitted is not None:
+        curves["fit"] = (data.fitted,)
+    off = np.abs(data.result.effort_nm - data.observed_nm)
+    usual = np.quantile(off, _USUAL_QUANTILE, axis=0)
+    least = max(float(np.median(usual[data.used])), _LEAST_REACH_NM)
+    best = data.fitted or data.result
+    torques: list[rrb.View] = []
+    residuals: list[rrb.View] = []
     for joint in data.order:
         torque, residual = f"torque/joint_{joint + 1}", f"residual/joint_{joint + 1}"
         observed = data.observed_nm[:, joint]
-        curves = {"iterations": data.simulated}
-        if data.fitted is not None:
-            curves["fit"] = (data.fitted,)
         for name, lines in curves.items():
             values = np.column_stack([line.effort_nm[:, joint] for line in lines])
             _log_lines(stream, f"{torque}/{name}", lines, data.seconds, values)
-            off = values - observed[:, None]
-            _log_lines(stream, f"{residual}/{name}", lines, data.seconds, off)
+            _log_lines(
+                stream, f"{residual}/{name}", lines, data.seconds, values - observed[:, None]
+            )
         points = rr.SeriesPoints(colors=[OBSERVED], names=["observed"], marker_sizes=[size])
         stream.log(f"{torque}/observed", points, static=True)
         send_scalars(stream, f"{torque}/observed", data.seconds, observed)
+        shown = np.concatenate([observed, best.effort_nm[:, joint]])
+        low, high = float(shown.min()), float(shown.max())
+        half = max(1.1 * (high - low), _LEAST_SPAN_NM) / 2
+        felt = f"{data.felt_nm_per_kg[joint]:.2f} per kg" if data.used[joint] else "not used"
+        reach = _HEADROOM * max(float(usual[joint]), least)
+        for views, entity, title, ends in (
+            (
+                torques,
+                torque,
+                f"{data.title(joint)}, {felt}",
+                ((low + high) / 2 - half, (low + high) / 2 + half),
+            ),
+            (residuals, residual, data.title(joint, "residual"), (-reach, reach)),
+        ):
+            views.append(
+                rrb.TimeSeriesView(
+                    origin=f"/{entity}",
+                    name=title,
+                    axis_y=rrb.ScalarAxis(range=ends),
+                    plot_legend=rrb.PlotLegend(visible=False),
+                )
+            )
+    return torques, residuals
 
 
-def log_key(stream: rr.RecordingStream, data: PayloadReviewData) -> None:
-    """Send the entities of `key_view`: what the curves are, where it hides none of them."""
+def _log_key(stream: rr.RecordingStream, data: PayloadReviewData) -> rrb.View:
+    """A strip above the curves that says what they are, where it hides none of them."""
     entries = [("observed", [OBSERVED])]
     entries.append(("rigid arm, k=0 to the result", [curve.color for curve in data.simulated]))
     if data.fitted is not None:
@@ -77,54 +181,12 @@ def log_key(stream: rr.RecordingStream, data: PayloadReviewData) -> None:
         show_labels=True,
     )
     stream.log("key/words", words, static=True)
-
-
-def key_view(data: PayloadReviewData) -> rrb.View:
-    """A strip above the curves."""
-    last = 1.0 if data.fitted is None else 2.0
     return rrb.Spatial2DView(
         origin="/key",
         name="key",
         titlebar=False,
-        visual_bounds=rrb.VisualBounds2D(x_range=(-0.5, last + 0.5), y_range=(-0.06, 0.18)),
+        visual_bounds=rrb.VisualBounds2D(x_range=(-0.5, len(entries) - 0.5), y_range=(-0.06, 0.18)),
     )
-
-
-def torque_views(data: PayloadReviewData) -> tuple[list[rrb.View], list[rrb.View]]:
-    """Two a joint: observed dots under the lines of all iterations, and the residuals of these.
-
-    A torque's axis shows what was observed and the result; guesses before it may run off. That of
-    residuals has the scale of the result's of most joints.
-    """
-    off = np.abs(data.result.effort_nm - data.observed_nm)
-    usual = np.quantile(off, _USUAL_QUANTILE, axis=0)
-    least = max(float(np.median(usual[data.used])), _LEAST_REACH_NM)
-    best = data.fitted or data.result
-    torques: list[rrb.View] = []
-    residuals: list[rrb.View] = []
-    for joint in data.order:
-        shown = np.concatenate([data.observed_nm[:, joint], best.effort_nm[:, joint]])
-        low, high = float(shown.min()), float(shown.max())
-        half = max(1.1 * (high - low), _LEAST_SPAN_NM) / 2
-        felt = f"{data.felt_nm_per_kg[joint]:.2f} per kg" if data.used[joint] else "not used"
-        torques.append(
-            rrb.TimeSeriesView(
-                origin=f"/torque/joint_{joint + 1}",
-                name=f"{data.title(joint)}, {felt}",
-                axis_y=rrb.ScalarAxis(range=((low + high) / 2 - half, (low + high) / 2 + half)),
-                plot_legend=rrb.PlotLegend(visible=False),
-            )
-        )
-        reach = _HEADROOM * max(float(usual[joint]), least)
-        residuals.append(
-            rrb.TimeSeriesView(
-                origin=f"/residual/joint_{joint + 1}",
-                name=data.title(joint, "residual"),
-                axis_y=rrb.ScalarAxis(range=(-reach, reach)),
-                plot_legend=rrb.PlotLegend(visible=False),
-            )
-        )
-    return torques, residuals
 
 
 def _log_lines(
@@ -145,8 +207,11 @@ def _log_lines(
     send_scalars(stream, entity, seconds, values)
 
 
-def log_torque_sheets(stream: rr.RecordingStream, data: PayloadReviewData) -> None:
-    """Send the entities of `torque_sheet_views`, and `step`: the iteration in words."""
+def _log_sheets(stream: rr.RecordingStream, data: PayloadReviewData) -> list[rrb.View]:
+    """Observed torques, and what the iteration's payload adds to the empty arm's, a chart a joint.
+
+    The iteration in words is in the entity `step`.
+    """
     indexes = by_iteration(len(data.simulated), float(data.seconds[0]))
     for joint in data.order:
         _log_sheet(stream, data, joint, indexes)
@@ -154,10 +219,6 @@ def log_torque_sheets(stream: rr.RecordingStream, data: PayloadReviewData) -> No
     for index, chosen in indexes:
         words = rr.TextDocument.columns(text=[_words(data, k) for k in chosen])
         stream.send_columns("step", indexes=[index], columns=words)
-
-
-def torque_sheet_views(data: PayloadReviewData) -> list[rrb.View]:
-    """A joint each: observed torque, and what the iteration's payload adds to the empty arm's."""
     return [
         chart_view(f"torque_{joint + 1}", f"{data.title(joint)} beyond the empty arm")
         for joint in data.order

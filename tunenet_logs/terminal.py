@@ -1,0 +1,84 @@
+"""What a terminal shows: the words of others as characters that print, and progress bars."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Protocol
+
+_MOST_CHARACTERS = 60
+"""Of a name: with them, the rest of its line still fits a wide terminal."""
+
+_MOST_NAMES = 20
+"""In one sentence; the rest is counted: nobody reads more of them."""
+
+
+def one_line(text: object) -> str:
+    r"""A text as one line; whatever does not print is shown as its escape (`\x1b`, `\u202e`).
+
+    So no name in a log can move the cursor, change colours, begin a new line or turn the direction
+    of what follows.
+    """
+    line = str(text)
+    if line.isprintable():
+        return line
+    return "".join(
+        character if character.isprintable() else repr(character)[1:-1] for character in line
+    )
+
+
+def short_name(name: object, most: int = _MOST_CHARACTERS) -> str:
+    """A name as one line of at most `most` characters, without its middle if it is longer."""
+    line = one_line(name)
+    if len(line) <= most:
+        return line
+    head = most // 2
+    return f"{line[:head]}…{line[head + 1 - most :]}"
+
+
+def listed(names: Iterable[str]) -> str:
+    """Names one after the other; of very many the first, and how many more there are."""
+    every = list(names)
+    more = len(every) - _MOST_NAMES
+    return ", ".join(every[:_MOST_NAMES]) + (f" and {more} more" if more > 0 else "")
+
+
+class Bar(Protocol):
+    """What work in progress reports to."""
+
+    def update(self, done: int, /) -> object:
+        """`done` more units are done."""
+        ...
+
+    def set_postfix_str(self, text: str, /, *, refresh: bool) -> object:
+        """Show something beside the count, from the next `update` on."""
+        ...
+
+
+class _NoBar:
+    def update(self, *_: object, **__: object) -> None:
+        """Show nothing."""
+
+    set_postfix_str = update
+
+
+@dataclass(frozen=True, kw_only=True)
+class Progress:
+    """Makes bars on standard error, where that is a terminal; else stand-ins that show nothing."""
+
+    quiet: bool = False
+
+    @contextmanager
+    def bar(self, total: int | None, what: str, unit: str) -> Iterator[Bar]:
+        """A bar over `total` units of work; count and rate alone where that is not known."""
+        if self.quiet or not sys.stderr.isatty():
+            yield _NoBar()
+            return
+        from tqdm import tqdm
+
+        with tqdm(
+            total=total, desc=short_name(what), unit=unit, file=sys.stderr, leave=False
+        ) as bar:
+            yield bar
