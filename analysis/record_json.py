@@ -114,7 +114,9 @@ def read_record(path: Path) -> Record:
         raise LogError(f"{path}: is no tuning; give the .json that tunenet-tune wrote")
     try:
         return record_from(fields)
-    except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
+    except LookupError as error:
+        raise LogError(f"{path}: {one_line(error)} is missing in it; tune the log again") from error
+    except (ValueError, TypeError, AttributeError, RecursionError) as error:
         raise LogError(f"{path}: {one_line(error)}; tune the log again") from error
 
 

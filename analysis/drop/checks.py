@@ -1,4 +1,7 @@
-"""Checks of a recorded drop: each with its figure, its limit and what to do about it."""
+"""Checks of a recorded drop, from positions or a film: figure, limit and what to do about it.
+
+What only a film can show is in `film_checks`.
+"""
 
 from __future__ import annotations
 
@@ -25,6 +28,19 @@ _MOST_GAP = 4.0
 _SURE = 0.02
 """Half width of an interval that still tells one ball from another."""
 
+_LEAST_SEEN = 0.9
+"""Fall times after the impact: less than that may miss the top of the first bounce."""
+
+_MOST_BELOW, _BELOW_SDS = 0.03, 6
+"""Of the drop height, and of the noise's standard deviations, that a sample may lie under the
+contact: a ball that sinks in less is still on the table."""
+
+_MOST_DRIFT = 0.5
+"""Of the drop height: a ball that is let go stays nearer; one that is thrown does not."""
+
+_MOST_DRAG = 0.02
+"""By which a fall may be slower than the flight: what the air does to a heavy ball."""
+
 _WITHIN_GRAVITY = 0.05
 """Relative: a fall may be this far from g, as the air and a short fall make it."""
 
@@ -45,15 +61,15 @@ def recording_checks(drop: Drop, sideways_m: Array, most_gap_falls: float = 0.0)
     periods = np.diff(drop.seconds)
     gap = float(periods.max() / np.median(periods))
     most_gap = max(_MOST_GAP, most_gap_falls * drop.fall_time_s / float(np.median(periods)))
-    floor = 0.03 * height + 6 * drop.noise_m
-    flown, wanted = figures(seen, 0.9, 1)
+    floor = _MOST_BELOW * height + _BELOW_SDS * drop.noise_m
+    flown, wanted = figures(seen, _LEAST_SEEN, 1)
     under, most_under = figures(1000 * max(below, 0.0), 1000 * floor, 1)
-    aside, most_aside = figures(1000 * drift, 500 * height, 0)
+    aside, most_aside = figures(1000 * drift, 1000 * _MOST_DRIFT * height, 0)
     longest, too_long = figures(gap, most_gap, 1)
     return [
         Check(
             "first flight seen",
-            seen > 0.9,
+            seen > _LEAST_SEEN,
             f"{flown} fall times (wanted: {wanted} or more)",
             advice="record until the ball lies still",
         ),
@@ -65,7 +81,7 @@ def recording_checks(drop: Drop, sideways_m: Array, most_gap_falls: float = 0.0)
         ),
         Check(
             "falls straight",
-            drift < 0.5 * height,
+            drift < _MOST_DRIFT * height,
             f"{aside} mm sideways (at most {most_aside})",
             advice="let go without a push, over a level surface",
         ),
@@ -84,7 +100,8 @@ def fall_checks(drop: Drop, restitution: float) -> list[Check]:
         Check(
             "gravity",
             abs(drop.gravity_m_s2 / CALIBRATED.gravity_m_s2 - 1) < _WITHIN_GRAVITY,
-            f"falls with {drop.gravity_m_s2:.2f} m/s² (wanted: 9.81 within 5 %)",
+            f"falls with {drop.gravity_m_s2:.2f} m/s² (wanted: {CALIBRATED.gravity_m_s2:.2f} "
+            f"within {100 * _WITHIN_GRAVITY:.0f} %)",
             advice="record lengths in m and the true times",
         )
     ]
@@ -101,7 +118,7 @@ def fall_checks(drop: Drop, restitution: float) -> list[Check]:
         )
     flight_samples = 2 * restitution * drop.fall_time_s / float(np.median(np.diff(drop.seconds)))
     if not np.isnan(drop.drag):
-        most = 0.02 + 2 * drop.drag_sd
+        most = _MOST_DRAG + 2 * drop.drag_sd
         slower, most_slower = figures(100 * drop.drag, 100 * most, 1)
         checks.append(
             Check(

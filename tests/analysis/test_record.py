@@ -11,16 +11,11 @@ import pytest
 
 from analysis.drop.checks import sure_check
 from analysis.estimators.base import ExtraEstimate
-from analysis.record import Tuning, record_of
+from analysis.record import record_of
 from analysis.record_json import to_json
-from analysis.report import Row, interval_words, result_words, row_of, table
 from analysis.selection import Options
 from analysis.tuning import tune_log
 from tests.conftest import ROOT, record
-
-
-def rowed(tuning: Tuning) -> Row:
-    return row_of(tuning, record_of(tuning))
 
 
 def test_the_json_has_the_contracts_keys(drop_log: Path):
@@ -74,40 +69,6 @@ def test_a_failed_check_says_what_to_do_at_the_next_drop(drop_log: Path):
     assert checks[1]["advice"] == "record until the ball lies still"
     assert "advice" not in checks[0]
     assert all(one.advice for one in tuning.checks)
-
-
-def test_the_table_shows_the_truth_only_where_a_log_states_one(drop_log: Path, tmp_path: Path):
-    (tmp_path / "b.mcap").write_text("no log")
-    known, unknown = (rowed(tune_log(path, Options())) for path in (drop_log, tmp_path / "b.mcap"))
-    assert "truth" in table([known, unknown]).splitlines()[0]
-    assert "truth" not in table([unknown]).splitlines()[0]
-    assert "is not an MCAP log" in table([unknown])
-
-
-@pytest.mark.parametrize(
-    ("low", "high", "words"),
-    [
-        (0.61981, 0.62032, "0.6198 to 0.6203"),
-        (0.7000012, 0.7000391, "0.70000 to 0.70004"),
-        (0.3500001, 0.3500034, "0.350000 to 0.350003"),
-        (0.34999996, 0.35000003, "0.349999 to 0.350001"),
-        (0.0, 0.00002, "0.00000 to 0.00002"),
-    ],
-)
-def test_an_interval_has_as_many_decimals_as_its_width_asks_for(
-    low: float, high: float, words: str
-):
-    assert interval_words(low, high) == words
-
-
-def test_no_interval_reads_as_certainty(drop_log: Path):
-    tuning = tune_log(drop_log, Options())
-    assert tuning.interval95 is not None
-    words = interval_words(*tuning.interval95[0])
-    low, high = words.split(" to ")
-    assert low != high
-    assert words in table([rowed(tuning)])
-    assert f"95 %: {words}" in result_words(record_of(tuning), tuning.preset, "drop")
 
 
 @pytest.mark.parametrize(

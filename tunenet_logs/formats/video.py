@@ -125,7 +125,7 @@ def open_video(path: Path, filmed_hz: float | None = None) -> Video:
         first = next(container.decode(_video_stream(container, path)), None)
         if first is None:
             raise LogError(f"{path}: no picture in it can be decoded; is the file whole?")
-        rotation = 90 * round(first.rotation / 90)
+        rotation = 90 * round(first.rotation / 90)  # the file's display matrix, by a phone's pose
         size = (first.height, first.width) if rotation % 180 else (first.width, first.height)
     warnings: list[str] = []
     fresh = sorted(set(ticks))
