@@ -42,7 +42,7 @@ class Result:
 
 
 @dataclass(frozen=True)
-class _Work:
+class _OneLog:
     """One log, and where its results go, without the suffix."""
 
     log: Path
@@ -72,14 +72,14 @@ def tune_all(
         UsageError: the options fit no log at all, or two logs would write the same results.
     """
     logs = list({log.resolve(): log for log in logs}.values())
-    pieces = [Piece(_Work(*pair)) for pair in zip(logs, _names(logs, folder), strict=True)]
+    pieces = [Piece(_OneLog(*pair)) for pair in zip(logs, _names(logs, folder), strict=True)]
     work = partial(_tuned_and_written, options=options, overwrite=overwrite)
     lost = partial(_lost, options=options)
     what = ("tuning", "log")
     return parallel_map(work, pieces, jobs, progress, what, may_stay=True, lost=lost)
 
 
-def _lost(work: _Work, options: Options) -> Result:
+def _lost(work: _OneLog, options: Options) -> Result:
     return _rejected(work.log, options, "the process that tuned it died (out of memory?)")
 
 
@@ -88,7 +88,7 @@ def _rejected(log: Path, options: Options, reason: str, trouble: str | None = No
     return Result(row_of(tuning, record_of(tuning)), trouble=trouble)
 
 
-def _tuned_and_written(work: _Work, options: Options, *, overwrite: bool) -> Result:
+def _tuned_and_written(work: _OneLog, options: Options, *, overwrite: bool) -> Result:
     """Tune one log and write its results; runs in the worker processes."""
     log, (report, recording) = work.log, _results(work.name)
     try:
