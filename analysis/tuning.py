@@ -104,6 +104,8 @@ def tune_detected(
     preset = experiment.presets[options.preset]
     method = method_named(options.method or preset.method)
     setup = _setup(preset, method, options)
+    unused = [f"--weights not used: the method {method.name} has no network"]
+    unused = unused if options.weights and not setup.model else []
     rejected = Tuning(path, experiment.kind, options.preset, "rejected", None, experiment)
     initial = options.initial or [
         parameter.initial if method.uses_network else sum(parameter.training_range) / 2
@@ -131,7 +133,7 @@ def tune_detected(
         rollouts=problem.rollouts,
         cross_check=cross_check,
         checks=checks,
-        warnings=detection.warnings,
+        warnings=(*detection.warnings, *unused),
         simulator={
             "engine": problem.simulator.engine,
             "preset": options.preset,

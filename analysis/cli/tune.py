@@ -70,9 +70,7 @@ def build_parser() -> Parser:
     )
     add("--start", type=number(0, 1e9, "s"), metavar="S", help="leave out what comes before [s]")
     add("--end", type=number(0, 1e9, "s"), metavar="S", help="leave out what comes after [s]")
-    _picture_options(
-        parser.add_argument_group("ball in pictures (found by its flight if not told)")
-    )
+    _picture_options(parser.add_argument_group("ball in pictures (found by its flight without)"))
     ball_options(parser.add_argument_group("ball in pictures, where it is known"))
     arm_options(parser.add_argument_group("payload of an arm"))
     preset_option(parser)

@@ -224,6 +224,11 @@ def test_the_exact_fit_needs_no_network_and_no_start(drop_log: Path):
         assert tuning.estimate == pytest.approx(both.estimate, abs=1e-6)
 
 
+def test_weights_that_a_method_does_not_use_are_said(drop_log: Path):
+    tuning = tune_log(drop_log, Options(method="fit", weights=drop_log))
+    assert "--weights not used: the method fit has no network" in tuning.warnings
+
+
 def test_a_log_that_a_method_does_not_fit_never_stops_the_others(tmp_path: Path):
     good = record(tmp_path / "a.mcap", restitution=0.6, height_m=1.0)
     arm = Path(__file__).resolve().parents[2] / "sample_logs" / "payload.mcap"
