@@ -176,3 +176,13 @@ def test_a_file_is_one_idea():
     lines = {name_of(path): len(path.read_text().splitlines()) for path in FILES}
     long = [f"{name} has {count} lines" for name, count in lines.items() if count > 350]
     assert not long, "\n".join(long)
+
+
+def test_a_class_name_has_one_meaning():
+    places: dict[str, list[str]] = {}
+    for path in FILES:
+        for node in ast.walk(tree_of(path)):
+            if isinstance(node, ast.ClassDef):
+                places.setdefault(node.name, []).append(name_of(path))
+    twice = [f"{name}: {', '.join(found)}" for name, found in places.items() if len(found) > 1]
+    assert not twice, "\n".join(twice)
