@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 from functools import partial
@@ -91,17 +92,14 @@ def _rejected(log: Path, options: Options, reason: str, trouble: str | None = No
 def _tuned_and_written(work: _OneLog, options: Options, *, overwrite: bool) -> Result:
     """Tune one log and write its results; runs in the worker processes."""
     log, (report, recording) = work.log, _results(work.name)
+    sha256 = ""
     try:
-        sha256 = log_sha256(log)
-    except OSError:  # reading it says why in our own words
-        sha256 = ""
-    if not overwrite:
-        try:
-            check_own(report, recording, log, sha256)
-        except LogError as error:
-            return _rejected(
-                log, options, "not tuned: its results would replace others", str(error)
-            )
+        with suppress(OSError):  # reading and writing say why in our own words
+            sha256 = log_sha256(log)
+            if not overwrite:
+                check_own(report, recording, log, sha256)
+    except LogError as error:
+        return _rejected(log, options, "not tuned: its results would replace others", str(error))
     try:
         tuning = tune_log(log, options)
     except (UsageError, WeightsError):  # the same for every log
@@ -113,7 +111,8 @@ def _tuned_and_written(work: _OneLog, options: Options, *, overwrite: bool) -> R
     record = record_of(tuning, _provenance(tuning, sha256, options))
     row, review = row_of(tuning, record), None
     try:
-        if log.is_file() or tuning.episode is not None:  # a folder that is a log
+        is_log = log.is_file() or tuning.episode is not None  # a folder may be one
+        if is_log and (sha256 or not report.exists()):
             work.name.parent.mkdir(parents=True, exist_ok=True)
             episode = tuning.episode
             if episode is not None and (episode.signals or episode.picture_topics):

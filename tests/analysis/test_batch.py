@@ -84,6 +84,16 @@ def test_what_is_no_result_is_never_replaced_silently(tmp_path: Path):
     assert "a.rrd: exists, and is no review of a.mcap" in (result.trouble or "")
 
 
+def test_a_log_that_is_gone_is_missing_and_its_results_stay(tmp_path: Path):
+    path = record(tmp_path / "a.mcap", restitution=0.6, height_m=1.0)
+    tune_all([path], Options(), None, 1, QUIET)
+    before = (tmp_path / "a.json").read_bytes()
+    path.unlink()
+    (result,) = tune_all([path], Options(), None, 1, QUIET)
+    assert "no such file" in (result.row.record.reason or "")
+    assert (tmp_path / "a.json").read_bytes() == before
+
+
 def test_a_review_without_its_json_is_known_by_its_log(tmp_path: Path):
     """A run that was killed between the two is no obstacle to the next."""
     path = record(tmp_path / "a.mcap", restitution=0.6, height_m=1.0)
