@@ -93,6 +93,20 @@ def build_parser() -> Parser:
         "thirds as many logs in all; bounce-shot: 60 trials a campaign)",
     )
     jobs_option(parser, "processes")
+    _options_of_some(parser)
+    files = parser.add_argument_group("files (replaced if they exist)")
+    files.add_argument("--json", type=Path, metavar="FILE", help="every figure, and the curves")
+    files.add_argument(
+        "--csv", type=Path, metavar="FILE", help="one row for each method, budget and seed, or line"
+    )
+    add("--quiet", action="store_true", help="no progress bar")
+    for name in ("--pairs", "--epochs"):  # of training, to try things out
+        add(name, type=whole(1, 1_000_000), help=argparse.SUPPRESS)
+    return parser
+
+
+def _options_of_some(parser: Parser) -> None:
+    """Options that only some experiments have."""
     drop = parser.add_argument_group("drop only", _METHODS_HELP)
     drop.add_argument(
         "--methods", metavar="A,B,...", help="only these, and no intervals (default: all)"
@@ -129,15 +143,6 @@ def build_parser() -> Parser:
         metavar="DIR",
         help="keep the first seed's logs, tunings and outcomes in this folder (1 GB)",
     )
-    files = parser.add_argument_group("files (replaced if they exist)")
-    files.add_argument("--json", type=Path, metavar="FILE", help="every figure, and the curves")
-    files.add_argument(
-        "--csv", type=Path, metavar="FILE", help="one row for each method, budget and seed, or line"
-    )
-    add("--quiet", action="store_true", help="no progress bar")
-    for name in ("--pairs", "--epochs"):  # of training, to try things out
-        add(name, type=whole(1, 1_000_000), help=argparse.SUPPRESS)
-    return parser
 
 
 def main(argv: Sequence[str] | None = None) -> int:
