@@ -91,6 +91,16 @@ class Preset:
     training: Training | None = None
 
 
+def presets_of(trainings: Mapping[str, Training]) -> dict[str, Preset]:
+    """Ours, whose answer is the object's own, and the paper's, whose answer is its engine's."""
+    return {
+        name: Preset(True, "tunenet+refine", training)
+        if name == "default"
+        else Preset(False, "tunenet", training)
+        for name, training in trainings.items()
+    }
+
+
 class Experiment(Protocol):
     """A kind of experiment, observed in one way. What `detect` returns is for its own methods."""
 

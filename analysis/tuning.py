@@ -73,20 +73,14 @@ def tune_episode(
         return Tuning(path, options.task, options.preset, "rejected", reason, seconds=seconds)
     # The first way that finds what it looks at; else the first, to say what it misses.
     experiment = next((way for way in ways if way.claim(episode, topic)), ways[0])
-    tuning = tune_detected(
+    return tune_detected(
         experiment,
         lambda: experiment.detect(episode, options.selection, options.preset),
         options,
         watch or Stopwatch(),
         path,
+        episode,
     )
-    checks = (*log_checks(episode), *tuning.checks) if tuning.trace else ()
-    warnings = (*episode.warnings, *tuning.warnings)
-    tuning = replace(tuning, episode=episode, checks=checks, warnings=warnings)
-    if tuning.trace is None:
-        return tuning
-    verdict, reason = judge(checks, tuning.cross_check, experiment.occasion)
-    return replace(tuning, verdict=verdict, reason=reason)
 
 
 def tune_detected(
@@ -95,8 +89,18 @@ def tune_detected(
     options: Options,
     watch: Stopwatch,
     path: Path = Path(),
+    episode: Episode | None = None,
 ) -> Tuning:
-    """Tune to what `detect` finds: pose the problem, estimate, evaluate, check, judge."""
+    """Tune to what `detect` finds: pose the problem, estimate, evaluate, check, judge.
+
+    Args:
+        experiment: what is detected.
+        detect: gives its detection.
+        options: of the user.
+        watch: runs since the log was opened.
+        path: of the log.
+        episode: the log as it was read; None for a detection that was made without one.
+    """
     if options.preset not in experiment.presets:
         known = ", ".join(experiment.presets)
         message = f"{experiment.name} has no preset {options.preset!r}; there is: {known}"
@@ -106,7 +110,17 @@ def tune_detected(
     setup = _setup(preset, method, options)
     unused = [f"--weights not used: the method {method.name} has no network"]
     unused = unused if options.weights and not setup.model else []
-    rejected = Tuning(path, experiment.kind, options.preset, "rejected", None, experiment)
+    said = episode.warnings if episode else ()
+    rejected = Tuning(
+        path,
+        experiment.kind,
+        options.preset,
+        "rejected",
+        None,
+        experiment,
+        episode,
+        warnings=said,
+    )
     initial = options.initial or [
         parameter.initial if method.uses_network else sum(parameter.training_range) / 2
         for parameter in experiment.parameters
@@ -121,6 +135,7 @@ def tune_detected(
         reason = str(error).removeprefix(f"{path}: ")
         return replace(rejected, reason=reason, seconds=watch.seconds)
     checks = experiment.checks(detection, trace.steps[-1], trace.fit)
+    checks = (*log_checks(episode), *checks) if episode else checks
     cross_check = experiment.cross_check(detection, trace.estimate)
     watch.lap("tune")
     verdict, reason = judge(checks, cross_check, experiment.occasion)
@@ -133,7 +148,7 @@ def tune_detected(
         rollouts=problem.rollouts,
         cross_check=cross_check,
         checks=checks,
-        warnings=(*detection.warnings, *unused),
+        warnings=(*said, *detection.warnings, *unused),
         simulator={
             "engine": problem.simulator.engine,
             "preset": options.preset,

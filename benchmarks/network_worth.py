@@ -1,6 +1,6 @@
 """What the network's start is worth beside one from the middle of the range.
 
-    python -m benchmarks.network_worth                   all tables, about ten minutes on two cores
+    python -m benchmarks.network_worth                   all tables, tens of minutes
     python -m benchmarks.network_worth --seeds 1 --logs 5 --films 2 --targets 10
 
 Table 1, logs that have an exact fit: `tunenet+refine` (the network's steps, then the fit) beside

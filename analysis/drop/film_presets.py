@@ -16,7 +16,7 @@ from analysis.drop.presets import (
     PAPERS_TEXT,
 )
 from analysis.drop.projected_track import projected_track
-from analysis.experiment import Preset, Training
+from analysis.experiment import Training, presets_of
 from analysis.tunenet.checkpoint import Purpose
 from analysis.tunenet.network import AntisymmetricNetwork, PaperNetwork
 from analysis.tunenet.pairs import PairSet, consecutive_pairs, cross_pairs, observe_all
@@ -242,7 +242,4 @@ TRAININGS = {
     ),
 }
 
-PRESETS = {
-    "default": Preset(True, "tunenet+refine", TRAININGS["default"]),
-    **{name: Preset(False, "tunenet", TRAININGS[name]) for name in TRAININGS if name != "default"},
-}
+PRESETS = presets_of(TRAININGS)

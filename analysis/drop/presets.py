@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from analysis.drop import observations as views
-from analysis.experiment import Preset, Training
+from analysis.experiment import Training, presets_of
 from analysis.tunenet.checkpoint import Purpose
 from analysis.tunenet.network import AntisymmetricNetwork, PaperNetwork
 from analysis.tunenet.pairs import PairSet, consecutive_pairs, mixed_pairs, observe_all
@@ -107,7 +107,7 @@ def _canonical_pairs(count: int | None, seed: int, jobs: int | None, progress: P
     return PairSet(observations, values[:, None], *mixed_pairs(values, count, rng))
 
 
-def _paper_preset(name: str, recipe: Recipe) -> Training:
+def _paper_training(name: str, recipe: Recipe) -> Training:
     purpose = Purpose(
         task="drop",
         preset=name,
@@ -170,11 +170,8 @@ PAPERS_CODE = Recipe(
 
 TRAININGS = {
     "default": _OURS,
-    "paper": _paper_preset("paper", PAPERS_TEXT),
-    "paper-code": _paper_preset("paper-code", PAPERS_CODE),
+    "paper": _paper_training("paper", PAPERS_TEXT),
+    "paper-code": _paper_training("paper-code", PAPERS_CODE),
 }
 
-PRESETS = {
-    "default": Preset(True, "tunenet+refine", TRAININGS["default"]),
-    **{name: Preset(False, "tunenet", TRAININGS[name]) for name in TRAININGS if name != "default"},
-}
+PRESETS = presets_of(TRAININGS)

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from analysis.estimators.base import Observation
-from analysis.experiment import Preset, Training
+from analysis.experiment import Training, presets_of
 from analysis.tunenet.checkpoint import Purpose
 from analysis.tunenet.network import HomogeneousNetwork, PaperNetwork
 from analysis.tunenet.pairs import PairSet, consecutive_pairs, observe_all
@@ -201,7 +201,7 @@ def _paper_recipe(scaling: str) -> Recipe:
     )
 
 
-def _paper_preset(name: str, scaling: str) -> Training:
+def _paper_training(name: str, scaling: str) -> Training:
     purpose = Purpose(
         task="payload",
         preset=name,
@@ -237,11 +237,8 @@ _OURS = Training(
 
 TRAININGS = {
     "default": _OURS,
-    "paper": _paper_preset("paper", "unit-inputs"),
-    "paper-code": _paper_preset("paper-code", "z-score"),
+    "paper": _paper_training("paper", "unit-inputs"),
+    "paper-code": _paper_training("paper-code", "z-score"),
 }
 
-PRESETS = {
-    "default": Preset(True, "tunenet+refine", TRAININGS["default"]),
-    **{name: Preset(False, "tunenet", TRAININGS[name]) for name in TRAININGS if name != "default"},
-}
+PRESETS = presets_of(TRAININGS)
