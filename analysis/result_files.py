@@ -95,10 +95,9 @@ def check_own(results: Path, review: Path, log: Path, sha256: str) -> None:
         known = record.provenance.log_sha256 if record.provenance else None
         could_not_be_read = known == "" and record.log == log.name
         if known != sha256 and not could_not_be_read:
-            raise LogError(
-                f"{results}: is the tuning of {record.log}"
-                f"{' before it changed' if record.log == log.name else ''}, not of {log}; {choose}"
-            )
+            named = f"another {log.name}, or of this one before it changed"
+            named = named if record.log == log.name else record.log
+            raise LogError(f"{results}: is the tuning of {named}, not of {log} as it is; {choose}")
     elif review.exists():
         with review.open("rb") as file:
             if review_name(sha256).encode() not in file.read(_HEADER_BYTES):

@@ -48,7 +48,10 @@ def test_a_log_that_is_tuned_again_replaces_its_own_results(tmp_path: Path):
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("other/a.mcap", "is the tuning of a.mcap before it changed, not of"),
+        (
+            "other/a.mcap",
+            "is the tuning of another a.mcap, or of this one before it changed, not of",
+        ),
         ("other.mcap", "is the tuning of a.mcap, not of"),
     ],
 )
