@@ -22,8 +22,9 @@ class Check:
         detail: the figure that was seen, and its limit.
         fatal: a failure means that no value can be reported at all.
         advice: what to do at the next recording so that it passes, as one short sentence.
-        doubts_model: whether a failure puts the model behind the interval in doubt; not so for a
-            check of the interval's own width.
+        doubts_model: whether a failure puts the model behind the interval in doubt; not so where it
+            only leaves less to see, which the interval says, or where another check would see it.
+        symptom: whether a failure may follow from what another check tells: that is named first.
     """
 
     name: str
@@ -32,6 +33,7 @@ class Check:
     fatal: bool = False
     advice: str = ""
     doubts_model: bool = True
+    symptom: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "passed", bool(self.passed))  # NumPy's bool is no JSON
@@ -61,26 +63,28 @@ def log_checks(episode: Episode) -> tuple[Check, ...]:
 def judge(
     checks: Sequence[Check], cross_check: CrossCheck | None, occasion: str
 ) -> tuple[Verdict, str | None]:
-    """The verdict, and its reason in one line, with the remedy of what is named first.
+    """The verdict, and its reason in one line, causes first, with the remedy of the first.
 
     Args:
         checks: all of them.
         cross_check: None where the log allows none.
         occasion: what a user would do again, e.g. "drop".
     """
-    failed = [check for check in checks if not check.passed]
+    failed = sorted((check for check in checks if not check.passed), key=lambda one: one.symptom)
     fatal = [check for check in failed if check.fatal]
-    reasons = [f"{check.name}: {check.detail}" for check in fatal or failed]
-    remedies = [check.advice for check in fatal or failed]
-    if cross_check is not None and not cross_check.agrees:
+    named = failed
+    if fatal:  # what is fatal, and what it may follow from
+        causes = [check for check in failed if not check.symptom]
+        named = [*causes[:1], *(check for check in fatal[:1] if check not in causes[:1])]
+    reasons = [f"{check.name}: {check.detail}" for check in named]
+    remedies = [check.advice for check in named]
+    if cross_check is not None and not cross_check.agrees and not fatal:
         reasons.append(f"cross-check: {cross_check.value:.3f} by {cross_check.method}")
         remedies.append(cross_check.advice)
     if not reasons:
         return "ok", None
     advice = f"; at the next {occasion}: {remedies[0]}" if remedies[0] else ""
-    if fatal:
-        return "rejected", reasons[0] + advice
-    return "suspect", "; ".join(reasons) + advice
+    return "rejected" if fatal else "suspect", "; ".join(reasons) + advice
 
 
 def figures(seen: float, limit: float, digits: int, kind: str = "f") -> tuple[str, str]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from analysis.checks import Check, CrossCheck
 from analysis.estimators.base import FitResult, Problem, Step, Trace
-from analysis.record import Curves, Rebound
+from analysis.record import Motion, Rebound
 from analysis.selection import Selection
 from analysis.tunenet.checkpoint import Purpose
 from analysis.tunenet.network import Network
@@ -82,21 +82,31 @@ class Preset:
 
     Attributes:
         physical: whether its value is the object's own, or a number of one engine's settings.
+        parameters: what is estimated with it.
         method: which is used unless the user names another; see `registry.METHODS`.
         training: of its network; None for an experiment without one.
     """
 
     physical: bool
+    parameters: tuple[Parameter, ...]
     method: str
     training: Training | None = None
 
 
-def presets_of(trainings: Mapping[str, Training]) -> dict[str, Preset]:
-    """Ours, whose answer is the object's own, and the paper's, whose answer is its engine's."""
+def presets_of(
+    trainings: Mapping[str, Training], ours: tuple[Parameter, ...], papers: tuple[Parameter, ...]
+) -> dict[str, Preset]:
+    """Ours, whose answer is the object's own, and the paper's, whose answer is its engine's.
+
+    Args:
+        trainings: of their networks, by name.
+        ours: parameters that the preset default estimates.
+        papers: those of the others.
+    """
     return {
-        name: Preset(True, "tunenet+refine", training)
+        name: Preset(True, ours, "tunenet+refine", training)
         if name == "default"
-        else Preset(False, "tunenet", training)
+        else Preset(False, papers, "tunenet", training)
         for name, training in trainings.items()
     }
 
@@ -117,11 +127,6 @@ class Experiment(Protocol):
     @property
     def occasion(self) -> str:
         """What a user does again where a log does not suffice, e.g. "drop"."""
-        ...
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """What it estimates."""
         ...
 
     @property
@@ -158,14 +163,17 @@ class Experiment(Protocol):
         """A second estimate beside `estimate`, shape (P,); None where the log allows none."""
         ...
 
-    def curves(self, detection: Any, last: Step) -> Curves | None:
-        """The observed and the simulated curve for the record; None where it has none."""
+    def motion(self, detection: Any, trace: Trace) -> Motion | None:
+        """The tuned simulator's motion beside the observed one; None where it has none."""
         ...
 
     def rebounds(self, detection: Any, trace: Trace) -> tuple[Rebound, ...]:
         """Impacts with a restitution of their own, in order; none for what does not bounce."""
         ...
 
-    def review(self, stream: RecordingStream, tuning: Tuning) -> Container:
-        """Send its part of the review to a stream, and return the layout that shows it."""
+    def review(self, stream: RecordingStream, tuning: Tuning) -> Container | None:
+        """Send its part of the review to a stream, and return the layout that shows it.
+
+        Of a tuning without a detection but with a refused one: what that shows, None if nothing.
+        """
         ...

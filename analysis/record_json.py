@@ -12,7 +12,20 @@ from typing import Any, TypeVar, get_args
 import numpy as np
 
 from analysis.checks import Check, CrossCheck, Verdict
-from analysis.record import MOST_SAMPLES, Curves, Estimate, Interval, Provenance, Rebound, Record
+from analysis.record import (
+    MOST_SAMPLES,
+    Curves,
+    Equivalent,
+    Equivalents,
+    Estimate,
+    Interval,
+    Motion,
+    Provenance,
+    Rebound,
+    Record,
+    SimulationFit,
+)
+from tunenet_logs.arrays import Array
 from tunenet_logs.errors import LogError
 from tunenet_logs.terminal import one_line
 
@@ -31,7 +44,7 @@ _FARTHEST = 1e6
 def to_json(record: Record) -> str:
     """The record as one JSON object."""
     last = len(record.iterations) - 1
-    cross = record.cross_check
+    cross, motion = record.cross_check, record.motion
     fields: dict[str, Any] = {
         "log": record.log,
         "task": record.task,
@@ -59,6 +72,11 @@ def to_json(record: Record) -> str:
             }
             for bounce in record.rebounds
         ],
+        "simulation_fit": motion.fit
+        and {**asdict(motion.fit), "excess_percent": motion.fit.excess_percent},
+        "equivalent": motion.equivalents
+        and {**asdict(motion.equivalents), "speeds": motion.equivalents.first.speeds_m_s},
+        "untold": motion.untold,
         "cross_check": cross
         and {"method": cross.method, "value": cross.value, "agrees": cross.agrees},
         "checks": [
@@ -80,16 +98,22 @@ def to_json(record: Record) -> str:
         "provenance": record.provenance and asdict(record.provenance),
     }
     text = json.dumps(fields, indent=1, ensure_ascii=False, allow_nan=False)
-    if record.curves is not None:  # on one line: it is for programs
+    if record.motion.curves is not None:  # on one line: it is for programs
         curves = {
-            "start_ns": record.curves.start_ns,
-            "seconds": np.round(record.curves.seconds, _TIME_DECIMALS).tolist(),
-            "observed_m": np.round(record.curves.observed_m, _HEIGHT_DECIMALS).tolist(),
-            "simulated_m": np.round(record.curves.simulated_m, _HEIGHT_DECIMALS).tolist(),
+            "start_ns": record.motion.curves.start_ns,
+            "seconds": np.round(record.motion.curves.seconds, _TIME_DECIMALS).tolist(),
+            "observed_m": _rounded(record.motion.curves.observed_m),
+            "simulated_m": _rounded(record.motion.curves.simulated_m),
         }
         line = json.dumps(curves, allow_nan=False)
         text = f'{text.removesuffix("}").rstrip()},\n "curves": {line}\n}}'
     return text + "\n"
+
+
+def _rounded(heights_m: Array) -> list[float | None]:
+    """Heights [m] as JSON has them: null where there is none."""
+    rounded = np.round(heights_m, _HEIGHT_DECIMALS).tolist()
+    return [height_m if math.isfinite(height_m) else None for height_m in rounded]
 
 
 def read_record(path: Path) -> Record:
@@ -166,7 +190,12 @@ def record_from(fields: Mapping[str, Any]) -> Record:
         window=_numbers(fields.get("window")) or None,
         seconds=_numbers(fields.get("seconds")),
         provenance=provenance and Provenance(**provenance),
-        curves=_optional(_curves, fields.get("curves")),
+        motion=Motion(
+            _optional(_curves, fields.get("curves")),
+            _optional(_simulation_fit, fields.get("simulation_fit")),
+            _optional(_equivalents, fields.get("equivalent")),
+            tuple(map(str, fields.get("untold") or ())),
+        ),
     )
 
 
@@ -217,6 +246,36 @@ def _rebound(fields: Mapping[str, Any]) -> Rebound:
     )
 
 
+def _simulation_fit(fields: Mapping[str, Any]) -> SimulationFit:
+    held_out = _optional(lambda value: _number("held_out", value), fields["held_out_percent"])
+    rms, worst, noise_percent, noise = (
+        _number(name, fields[name])
+        for name in ("rms_percent", "worst_percent", "noise_percent", "noise")
+    )
+    return SimulationFit(
+        rms,
+        worst,
+        noise_percent,
+        held_out,
+        int(fields["samples"]),
+        int(fields["left_out"]),
+        noise,
+        str(fields["unit"]),
+    )
+
+
+def _equivalents(fields: Mapping[str, Any]) -> Equivalents:
+    return Equivalents(*(_equivalent(fields[name]) for name in ("first", "all")))
+
+
+def _equivalent(fields: Mapping[str, Any]) -> Equivalent:
+    return Equivalent(
+        _number("restitution", fields["restitution"]),
+        _number("rms_percent", fields["rms_percent"]),
+        tuple(_number("speed", speed) for speed in fields["speeds_m_s"]),
+    )
+
+
 def _curves(fields: Mapping[str, Any]) -> Curves:
     """What `to_json` wrote of curves."""
     names = ("seconds", "observed_m", "simulated_m")
@@ -224,7 +283,7 @@ def _curves(fields: Mapping[str, Any]) -> Curves:
     shapes = {seconds.shape, observed_m.shape, simulated_m.shape}
     if shapes != {(len(seconds),)} or not 2 <= len(seconds) <= MOST_SAMPLES:
         raise ValueError("its curves have different lengths")
-    far = [np.abs(curve).max() for curve in (seconds, observed_m, simulated_m)]
+    far = [np.nanmax(np.abs(curve)) for curve in (seconds, observed_m, simulated_m)]
     if not all(reach < _FARTHEST for reach in far) or np.any(np.diff(seconds) <= 0):
         raise ValueError("its curves make no sense")
     return Curves(int(fields["start_ns"]), seconds, observed_m, simulated_m)

@@ -1,4 +1,4 @@
-"""Tunings in words: a table for the terminal, Markdown for the review."""
+"""Tunings in words: a table for the terminal, and what it shares with the review."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.record import Estimate, Rebound, Record, Tuning
+from analysis.record import Estimate, Record, Tuning
 from tunenet_logs.terminal import one_line
 
 _FEWEST_DECIMALS, _MOST_DECIMALS = 4, 6
@@ -38,7 +38,8 @@ class Row:
 
 def row_of(tuning: Tuning, record: Record) -> Row:
     """The row of a tuning and its record."""
-    parameter = tuning.experiment.parameters[0] if tuning.experiment else None
+    presets = tuning.experiment.presets if tuning.experiment else {}
+    parameter = presets[tuning.preset].parameters[0] if tuning.preset in presets else None
     truth = None
     if tuning.episode is not None and parameter is not None:
         truth = tuning.episode.info.truth.get(parameter.name)
@@ -64,21 +65,23 @@ def table(rows: Sequence[Row]) -> str:
 
 
 def _table(parameter: str, rows: Sequence[Row]) -> str:
-    first = [row.record.estimates[0] if row.record.estimates else None for row in rows]
-    crosses = [row.record.cross_check for row in rows]
+    records = [row.record for row in rows]
+    crosses = [record.cross_check for record in records]
     extents = [row.extent[0] for row in rows if row.extent is not None]
     columns = {
         "log": [one_line(row.log) for row in rows],
-        "verdict": [row.record.verdict for row in rows],
-        parameter: ["-" if known is None else f"{known.value:.4f}" for known in first],
-        "95 % interval": [_interval(known) for known in first],
+        "verdict": [record.verdict for record in records],
+        parameter: [_value(record.estimates[:1]) for record in records],
+        "95 % interval": [_interval(record) for record in records],
+        **_other_parameters(records),
         "cross-check": ["-" if cross is None else f"{cross.value:.4f}" for cross in crosses],
         (extents or [""])[0]: ["-" if row.extent is None else row.extent[1] for row in rows],
-        "rollouts": [str(row.record.rollouts) for row in rows],
-        "time": [f"{row.record.seconds.get('total', 0.0):.2f} s" for row in rows],
+        "fits": [_fits(record) for record in records],
+        "rollouts": [str(record.rollouts) for record in records],
+        "time": [f"{record.seconds.get('total', 0.0):.2f} s" for record in records],
         "truth": ["-" if row.truth is None else f"{row.truth:.4f}" for row in rows],
     }
-    for optional in ("truth", "95 % interval"):
+    for optional in ("truth", "95 % interval", "fits"):
         if set(columns[optional]) == {"-"}:
             del columns[optional]
     columns = {name: cells for name, cells in columns.items() if name}
@@ -89,22 +92,68 @@ def _table(parameter: str, rows: Sequence[Row]) -> str:
     )
     out = [header]
     for row, line in zip(rows, lines, strict=True):
-        record = row.record
-        out += [line, *(f"  {extra_words(known)}" for known in record.estimates[1:])]
-        if record.reason:
-            out.append(one_line(f"  {record.verdict}: {record.reason}"))
-        if record.estimates and not record.physical:
-            out.append(f"  {row.preset}: the engine's number under the paper's settings")
+        out += [line, *(f"  {words}" for words in _lines_below(row))]
     return "\n".join(out)
 
 
-def _interval(known: Estimate | None) -> str:
+def _lines_below(row: Row) -> list[str]:
+    """What a table's line has no room for."""
+    record = row.record
+    lines = [extra_words(known) for known in record.estimates[1:] if isinstance(known.value, tuple)]
+    if record.estimates:
+        lines += [*filter(None, [equivalent_words(record)]), *record.motion.untold]
+    if record.reason:
+        lines.append(one_line(f"{record.verdict}: {record.reason}"))
+    if record.estimates and not record.physical:
+        lines.append(f"{row.preset}: the engine's number under the paper's settings")
+    return lines
+
+
+_SHORT = {"restitution_slope": "slope"}
+"""What a table calls a parameter whose name is long."""
+
+
+def _other_parameters(records: Sequence[Record]) -> dict[str, list[str]]:
+    """A column for each further parameter of one number, with half its interval."""
+    others = [known for record in records for known in record.estimates[1:]]
+    names = dict.fromkeys(
+        (known.name, known.unit) for known in others if isinstance(known.value, float)
+    )
+    return {
+        quantity(_SHORT.get(name, name), unit): [_other(record, name) for record in records]
+        for name, unit in names
+    }
+
+
+def _other(record: Record, name: str) -> str:
+    known = record.estimate(name)
+    return "-" if known is None else _numbers(known)
+
+
+def _value(known: Sequence[Estimate]) -> str:
+    return f"{known[0].value:.4f}" if known else "-"
+
+
+def _fits(record: Record) -> str:
+    """How far the tuned simulator is from what was observed, beyond the noise."""
+    fit = record.motion.fit
+    return "-" if fit is None or not record.estimates else f"{fit.excess_percent:.2f} %"
+
+
+def _interval(record: Record) -> str:
+    """That of the first parameter; a suspect's is marked."""
+    known = record.estimates[0] if record.estimates else None
     if known is None or known.interval95 is None:
         return "-"
     low, high = known.interval95
     assert isinstance(low, float)
     assert isinstance(high, float)
-    return interval_words(low, high)
+    return interval_words(low, high) + interval_mark(record)
+
+
+def interval_mark(record: Record) -> str:
+    """Beside an interval: what it says holds as far as the doubts are unfounded."""
+    return "" if record.verdict == "ok" else f" ({record.verdict})"
 
 
 def interval_words(low: float, high: float) -> str:
@@ -130,92 +179,35 @@ def quantity(name: str, unit: str) -> str:
 
 def extra_words(known: Estimate) -> str:
     """A quantity of several numbers, each with half its interval where it has one."""
+    return f"{quantity(known.name, known.unit)} {_numbers(known)}"
+
+
+def _numbers(known: Estimate) -> str:
     values = np.atleast_1d(known.value)
     halves = [""] * len(values)
     if known.interval95 is not None:
         widths = np.ptp(np.reshape(known.interval95, (-1, 2)), axis=1)
         halves = [f" ± {width / 2:.4f}" for width in widths]
-    numbers = ", ".join(f"{value:.4f}{half}" for value, half in zip(values, halves, strict=True))
-    return f"{quantity(known.name, known.unit)} {numbers}"
+    return ", ".join(f"{value:.4f}{half}" for value, half in zip(values, halves, strict=True))
 
 
-_SHOWN = 7
-"""Iterations in the table: the last ones."""
-
-_MOST_BOUNCES = 6
-_MOST_WARNINGS = 50
-"""Rows and lines that a reader still looks through; the JSON has all."""
+_SAME = 0.001
+"""Of a restitution: with a ball that differs by less, a simulator needs no air."""
 
 
-def result_words(record: Record, preset: str, occasion: str | None) -> str:
-    """Value, verdict, what to do next time, bounces, iterations and checks.
-
-    Args:
-        record: of the tuning.
-        preset: that it was tuned with.
-        occasion: what a user does again, e.g. "drop"; None where that is not known.
-    """
-    lines: list[str] = []
-    for known in record.estimates:
-        if isinstance(known.value, tuple):
-            lines.append(extra_words(known))
-            continue
-        unit = "" if known.unit == "1" else f" {known.unit}"
-        lines.append(f"# {known.name} {known.value:.4f}{unit}")
-        if known.interval95 is not None:
-            low, high = known.interval95
-            lines.append(f"95 %: {interval_words(low, high)}")  # pyright: ignore[reportArgumentType]
-    reason = f": {one_line(record.reason)}" if record.reason else ""
-    lines.append(f"**{record.verdict}**{reason}")
-    cross = record.cross_check
-    if cross is not None and record.estimates:
-        agrees = "agrees" if cross.agrees else "**disagrees**"
-        lines.append(f"cross-check {agrees}: {cross.value:.4f} by {cross.method}")
-    # What would let each failed check pass; the reason has the first one's only.
-    remedies = [check.advice for check in record.checks if not check.passed and check.advice]
-    if len(remedies) > 1:
-        listed = "\n".join(f"- {remedy}" for remedy in dict.fromkeys(remedies))
-        lines.append(f"at the next {occasion}:\n\n{listed}")
-    lines += [*_bounces(record.rebounds), *_iterations(record, preset)]
-    if record.checks:
-        lines.append("checks:\n")  # a list: what a table holds does not wrap
-        for check in record.checks:
-            name = one_line(check.name)
-            name = name if check.passed else f"**failed: {name}**"
-            lines[-1] += f"\n- {name}: {one_line(check.detail)}"
-    lines += [f"- {one_line(warning)}" for warning in record.warnings[:_MOST_WARNINGS]]
-    if len(record.warnings) > _MOST_WARNINGS:
-        lines.append(f"- {len(record.warnings) - _MOST_WARNINGS} more warnings")
-    return "\n\n".join(lines)
-
-
-def _bounces(bounces: Sequence[Rebound]) -> list[str]:
-    if len(bounces) < 2:
-        return []
-    rows = []
-    for number, bounce in enumerate(bounces[:_MOST_BOUNCES], start=1):
-        ends = "-" if bounce.interval95 is None else "{:.3f} to {:.3f}".format(*bounce.interval95)
-        speed_m_s = bounce.impact_speed_m_s
-        speed = "-" if speed_m_s is None else f"{speed_m_s:.2f} m/s"
-        rows.append((str(number), f"{bounce.restitution:.3f}", ends, speed))
-    shown = markdown_table(("bounce", "restitution", "95 %", "impact at"), rows)
-    more = len(bounces) - _MOST_BOUNCES
-    return [shown, f"{more} more in the JSON"] if more > 0 else [shown]
-
-
-def _iterations(record: Record, preset: str) -> list[str]:
-    if not record.iterations:
-        return []
-    said = f"{record.method}, preset {preset}, {record.rollouts} rollouts"
-    if not record.physical:
-        said += "; the engine's number under the paper's settings"
-    name = next(iter(record.iterations[0]))
-    shown = list(enumerate(record.iterations))[-_SHOWN:]
-    cells = [(str(k), f"{values[name]:.4f}") for k, values in shown]
-    if record.is_fitted:
-        cells[-1] = ("refined", cells[-1][1])
-    names, values = zip(("k", name), *cells, strict=True)
-    return [said, markdown_table(names, [values])]
+def equivalent_words(record: Record) -> str:
+    """The ball for a simulator without air; "" where it is the same there."""
+    known = record.motion.equivalents
+    if known is None or not record.estimates:
+        return ""
+    value = float(np.atleast_1d(record.estimates[0].value)[0])
+    if max(abs(one.restitution - value) for one in (known.first, known.all)) < _SAME:
+        return ""
+    return (
+        f"without air: {known.first.restitution:.3f} for the first rebound "
+        f"({known.first.rms_percent:.1f} % rms), {known.all.restitution:.3f} for all "
+        f"({known.all.rms_percent:.1f} %)"
+    )
 
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

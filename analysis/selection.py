@@ -35,7 +35,6 @@ class Selection:
         end_s: what comes after is left out [s since the log's first sample].
         hints: where the ball is in a picture.
         ball: what was dropped: then the air's drag on it is known.
-        fit_drag: whether to find the drag from the bounces instead.
         tare: a log of the same arm with nothing in its gripper, or what was read of one.
         arm: whose URDF, and the link that holds the payload; None for the Jaco.
     """
@@ -45,21 +44,24 @@ class Selection:
     end_s: float | None = None
     hints: Hints = field(default_factory=Hints)
     ball: Ball = UNKNOWN_BALL
-    fit_drag: bool = False
     tare: Path | Episode | None = None
     arm: tuple[Path, str] | None = None
 
     @property
-    def ball_options(self) -> tuple[str, ...]:
-        """The options given that are for a filmed ball, as a user names them."""
+    def film_options(self) -> tuple[str, ...]:
+        """The options given that are for a film, as a user names them."""
         given = {
             "--roi": self.hints.roi is not None,
             "--hsv": self.hints.hsv is not None,
             "--ball-at": self.hints.ball_at is not None,
-            "the ball's size and mass": self.ball != UNKNOWN_BALL,
-            "--fit-drag": self.fit_drag,
         }
         return tuple(name for name, is_given in given.items() if is_given)
+
+    @property
+    def ball_options(self) -> tuple[str, ...]:
+        """The options given that are for a ball, as a user names them."""
+        ball = ("the ball's size and mass",) if self.ball != UNKNOWN_BALL else ()
+        return (*self.film_options, *ball)
 
     @property
     def arm_options(self) -> tuple[str, ...]:

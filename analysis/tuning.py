@@ -17,6 +17,7 @@ from analysis.record import Tuning
 from analysis.registry import experiments_of, kinds, kinds_in, method_named
 from analysis.selection import Options
 from analysis.tunenet.checkpoint import load_model, shipped_model
+from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import LogError, NotFoundError, TuneNetError, UsageError
 from tunenet_logs.reader import read_episode
@@ -121,19 +122,17 @@ def tune_detected(
         episode,
         warnings=said,
     )
-    initial = options.initial or [
-        parameter.initial if method.uses_network else sum(parameter.training_range) / 2
-        for parameter in experiment.parameters
-    ]
+    initial = _initial(preset, method, options)
+    detection = None
     try:
         detection = detect()
-        problem = experiment.problem(detection, np.array(initial))
+        problem = experiment.problem(detection, initial)
         watch.lap("observe")
         trace = _evaluated(method.build(setup).estimate(problem, options.iterations), problem)
     except (NotFoundError, LogError) as error:
         watch.lap("observe")
         reason = str(error).removeprefix(f"{path}: ")
-        return replace(rejected, reason=reason, seconds=watch.seconds)
+        return replace(rejected, reason=reason, refused=detection, seconds=watch.seconds)
     checks = experiment.checks(detection, trace.steps[-1], trace.fit)
     checks = (*log_checks(episode), *checks) if episode else checks
     cross_check = experiment.cross_check(detection, trace.estimate)
@@ -145,6 +144,7 @@ def tune_detected(
         reason=reason,
         detection=detection,
         trace=trace,
+        parameters=problem.parameters,
         rollouts=problem.rollouts,
         cross_check=cross_check,
         checks=checks,
@@ -158,6 +158,20 @@ def tune_detected(
         digest=setup.model.digest if setup.model else "",
         seconds=watch.seconds,
     )
+
+
+def _initial(preset: Preset, method: type[Estimator], options: Options) -> Array:
+    """The user's first values, and the usual ones of what the user did not name, shape (P,)."""
+    parameters = preset.parameters[:1] if method.takes_one_parameter else preset.parameters
+    given = list(options.initial or ())
+    if len(given) > len(parameters):
+        names = ", ".join(parameter.name for parameter in parameters)
+        raise UsageError(f"{len(given)} initial values; at most one for each of: {names}")
+    usual = [
+        parameter.initial if method.uses_network else sum(parameter.training_range) / 2
+        for parameter in parameters
+    ]
+    return np.array([*given, *usual[len(given) :]])
 
 
 def _setup(preset: Preset, method: type[Estimator], options: Options) -> Setup:

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from analysis.drop.film_fit import IDEAL, PERSPECTIVE, PRIORS_SD, TrackSamples
+from analysis.drop.bounce_model import IDEAL, PERSPECTIVE, BounceSamples
+from analysis.drop.projection import PERSPECTIVE_SD
 from analysis.evaluation.video.tracks import (
     NARROW,
     NOISES_PX,
@@ -32,14 +33,24 @@ def bound(scene: TrackScene) -> float:
     fall_s = scene.ball.fall_s
     span_px = float(np.linalg.norm(places[1] - places[0]))
     perspective = float(np.log(depths[0] / depths[1]))
-    truth = [scene.ball.restitution, fall_s, np.log(fall_s), 0.0, span_px, perspective, 0.0, 0.0]
+    truth = [
+        scene.ball.restitution,
+        fall_s,
+        np.log(fall_s),
+        0.0,
+        span_px,
+        perspective,
+        0.0,
+        0.0,
+        0.0,
+    ]
     seconds = scene.seconds[~scene.lost]
     noise_px = float(np.sqrt(scene.noise_px**2 + ROUNDING_PX2))
-    slopes = TrackSamples(seconds, np.zeros(len(seconds)), noise_px).jacobian(
+    slopes = BounceSamples(seconds, np.zeros(len(seconds)), noise_px).jacobian(
         np.array(truth), IDEAL
     )
     information = slopes.T @ slopes / noise_px**2
-    information[PERSPECTIVE, PERSPECTIVE] += PRIORS_SD[PERSPECTIVE] ** -2
+    information[PERSPECTIVE, PERSPECTIVE] += PERSPECTIVE_SD**-2
     return float(np.sqrt(np.linalg.inv(information)[0, 0]))
 
 

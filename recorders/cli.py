@@ -70,6 +70,10 @@ _WHAT = {"camera": "drop", "bounce_shot": "shot"}
 """What a log is called after where that is not its source."""
 
 
+_OF_SHOTS_TOO = ("restitution", "slope", "drag", "height")
+"""Options of a drop that a bounce shot has, too."""
+
+
 def build_parser() -> Parser:
     """The command's arguments; `..._only` are those of one source alone."""
     parser = Parser("tunenet-record", _DESCRIPTION, _EXAMPLES)
@@ -110,7 +114,7 @@ def build_parser() -> Parser:
         payload_only=payload,
         bounce_shot_only=[
             *shot,
-            *(action for action in drop if action.dest in ("restitution", "height")),
+            *(action for action in drop if action.dest in _OF_SHOTS_TOO),
         ],
         joints_only=joints,
         outcome_only=[*outcome, *ball],

@@ -27,6 +27,20 @@ def drop_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
             "shot from .5 to .85)",
         ),
         add(
+            "--slope",
+            type=number(-0.5, 0.5),
+            metavar="P",
+            help="how the restitution falls with an impact's speed: E (v / v_first)^-P, constant "
+            "below .05 m/s (default: 0); of a bounce shot from the one at 3 m/s",
+        ),
+        add(
+            "--drag",
+            type=number(0, 2, "1/m"),
+            metavar="K",
+            help="of the air on the ball, its deceleration over speed squared [1/m]; a "
+            "table-tennis ball has .13 (default: 0; of a bounce shot by its ball's size and mass)",
+        ),
+        add(
             "--height",
             type=number(0.01, 1000, "m"),
             metavar="M",
@@ -118,6 +132,8 @@ def record_drop_as_asked(arguments: argparse.Namespace, path: Path) -> str:
 
     given = {
         "restitution": arguments.restitution,
+        "slope": arguments.slope,
+        "drag_1_m": arguments.drag,
         "height_m": arguments.height,
         "radius_m": arguments.radius,
         "rate_hz": arguments.rate,
@@ -144,8 +160,14 @@ def record_drop_as_asked(arguments: argparse.Namespace, path: Path) -> str:
         min_free_bytes=round(arguments.min_free * 1e6),
     )
     truth, rig = episode.info.truth, episode.info.rig
+    more = "".join(
+        f"{words} {truth[name]:g}{unit}, "
+        for name, words, unit in (("restitution_slope", "slope", ""), ("drag", "drag", " /m"))
+        if truth.get(name)
+    )
     return (
-        f"restitution {truth['restitution']:.4f}, drop height {rig['drop_height_m']:.3f} m; "
+        f"restitution {truth['restitution']:.4f}, {more}"
+        f"drop height {rig['drop_height_m']:.3f} m; "
         + summary.in_words("frames" if arguments.render else "samples")
     )
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from tunenet_logs.commandline import number
 from tunenet_logs.errors import UsageError
 
 _LEAST_RATE_HZ = 50.0
@@ -21,12 +20,6 @@ def shot_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
             type=Path,
             metavar="FILE.yaml",
             help="plane, hoop and ball (default: the built-in rig; see tunenet-plan --save-rig)",
-        ),
-        add(
-            "--slope",
-            type=number(-1, 1),
-            metavar="P",
-            help="how the restitution falls with an impact's speed, (v / 3 m/s)^-P (default: 0)",
         ),
     ]
 
@@ -54,6 +47,7 @@ def record_shot_as_asked(arguments: argparse.Namespace, path: Path) -> str:
         "rig": ShotRig() if arguments.rig is None else read_rig(arguments.rig),
         "restitution": arguments.restitution,
         "slope": arguments.slope,
+        "drag_1_m": arguments.drag,
         "height_m": arguments.height,
         "rate_hz": arguments.rate,
         "seed": arguments.seed,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from recorders.simulators.contact import PRESETS
-from recorders.simulators.drop import RESTITUTION, TOPIC, DropRig, DropSimulator
+from recorders.simulators.drop import DRAG, RESTITUTION, SLOPE, TOPIC, DropRig, DropSimulator
 from tunenet_logs.episode import Episode, Signal
 from tunenet_logs.errors import UsageError
 
@@ -26,6 +26,9 @@ class DropOrder:
     """A drop to simulate; None is drawn from the seed or left to the preset.
 
     Attributes:
+        restitution: at the first impact's speed.
+        slope: how it falls with speed; see `SpeedLaw`.
+        drag_1_m: of the air on the ball.
         height_m: the ball's underside over the table.
         seconds: recorded after the release.
         hold_s: recorded before it.
@@ -33,6 +36,8 @@ class DropOrder:
     """
 
     restitution: float | None = None
+    slope: float = 0.0
+    drag_1_m: float = 0.0
     height_m: float | None = None
     radius_m: float | None = None
     rate_hz: float | None = None
@@ -54,6 +59,8 @@ def simulate_drop(order: DropOrder) -> Episode:
     rate_hz = order.rate_hz or _PAPER_RATE_HZ
     if order.preset == "paper" and rate_hz != _PAPER_RATE_HZ:
         raise UsageError(f"preset paper is simulated at 60 Hz by definition, not at {rate_hz:g} Hz")
+    if order.preset == "paper" and (order.slope or order.drag_1_m):
+        raise UsageError("preset paper has neither slope nor drag: leave them out")
     seconds = order.seconds or _PAPER_SAMPLES / _PAPER_RATE_HZ
     rig = DropRig(
         gap_m=height_m if order.height_m is None else order.height_m,
@@ -64,7 +71,9 @@ def simulate_drop(order: DropOrder) -> Episode:
     )
     wanted = restitution if order.restitution is None else order.restitution
     simulator = DropSimulator(rig, PRESETS[order.preset])
-    episode = simulator.rollout({RESTITUTION.name: wanted})
+    values = {RESTITUTION.name: wanted, SLOPE.name: order.slope, DRAG.name: order.drag_1_m}
+    known = {one.name for one in simulator.parameters}
+    episode = simulator.rollout({name: one for name, one in values.items() if name in known})
     notes = {"seed": str(order.seed), "noise_m": repr(order.noise_m)}
     info = replace(episode.info, notes=notes)
     ball = episode.signals[TOPIC]

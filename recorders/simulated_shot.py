@@ -23,6 +23,7 @@ class ShotOrder:
         rig: where.
         restitution: at 3 m/s along the plane's normal.
         slope: how it falls with speed.
+        drag_1_m: of the air on the ball; the rig's ball's if None.
         height_m: how far the ball falls; drawn from what the rig reaches.
         rate_hz: samples a second.
     """
@@ -30,6 +31,7 @@ class ShotOrder:
     rig: ShotRig = field(default_factory=ShotRig)
     restitution: float | None = None
     slope: float = 0.0
+    drag_1_m: float | None = None
     height_m: float | None = None
     rate_hz: float = 240.0
     seed: int = 0
@@ -42,11 +44,12 @@ def simulate_shot(order: ShotOrder) -> Episode:
         UsageError: a value that is out of range.
     """
     rng = np.random.default_rng(order.seed)
-    reach = order.rig.release
+    rig = order.rig if order.drag_1_m is None else order.rig.with_drag(order.drag_1_m)
+    reach = rig.release
     restitution = float(rng.uniform(*_DRAWN_RESTITUTION))
     height_m = float(rng.uniform(reach.lowest_m, reach.highest_m))
     simulator = BounceShot(
-        rig=order.rig,
+        rig=rig,
         height_m=height_m if order.height_m is None else order.height_m,
         slope=order.slope,
         rate_hz=order.rate_hz,

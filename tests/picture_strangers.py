@@ -12,6 +12,9 @@ import av
 import cv2
 import numpy as np
 from mcap.writer import CompressionType, Writer
+from rosbags.rosbag1 import Writer as BagWriter
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as FolderWriter
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -198,3 +201,69 @@ ENCODED: dict[str, Callable[[np.ndarray], bytes]] = {
     },
 }
 """From RGB, shape (H, W, 3), to the bytes of an encoding of sensor_msgs/Image."""
+
+
+Taken = Iterable[tuple[int, np.ndarray]]
+"""Stamps [ns], and pictures: RGB, shape (H, W, 3)."""
+
+
+def write_jpegs_bag(path: Path, pictures: Taken, topic: str = "/eye") -> Path:
+    """A ROS 1 bag of JPEGs as a camera's driver makes them, of quality 95."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    with BagWriter(path) as writer:
+        connection = writer.add_connection(topic, COMPRESSED, typestore=store)
+        for count, (stamp_ns, pixels) in enumerate(pictures):
+            time = store.types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 1_000_000_000))
+            header = store.types["std_msgs/msg/Header"](seq=count, stamp=time, frame_id="lens")
+            data = np.frombuffer(jpeg(pixels), np.uint8)
+            message = store.types[COMPRESSED](header=header, format="jpeg", data=data)
+            raw = bytes(store.serialize_ros1(message, COMPRESSED))
+            writer.write(connection, stamp_ns + 5_000_000, raw)
+    return path
+
+
+def write_pictures_folder(
+    path: Path, messages: Iterable[Fields], storage: StoragePlugin, topic: str = "/eye"
+) -> Path:
+    """A ROS 2 bag's folder; times of the log are 5 ms later than the stamps of its messages."""
+    with FolderWriter(path, version=9, storage_plugin=storage) as writer:
+        connection: Any = None
+        for stamp_ns, type_name, fields in messages:
+            if connection is None:
+                connection = writer.add_connection(topic, type_name, typestore=STORE)
+            data = bytes(STORE.serialize_cdr(_message(stamp_ns, type_name, fields), type_name))
+            writer.write(connection, stamp_ns + 5_000_000, data)
+    return path
+
+
+def write_video_file(path: Path, pictures: Taken, codec: str, rate_hz: int, **options: str) -> Path:
+    """A video file of H.264 or the like, its stamps those of the pictures to 1/90000 s.
+
+    Args:
+        path: its suffix names the container.
+        pictures: with even stamps at `rate_hz` where the container has no other.
+        codec: as FFmpeg calls its encoder.
+        rate_hz: how the file says that it plays.
+        options: the encoder's, and `pix_fmt`.
+    """
+    clock = Fraction(1, rate_hz if path.suffix == ".avi" else 90_000)
+    pixel_format = options.pop("pix_fmt", "yuv420p")
+    with av.open(str(path), "w") as container:
+        stream: Any = container.add_stream(codec, rate=rate_hz, options=options)
+        first_ns: int | None = None
+        for stamp_ns, pixels in pictures:
+            if first_ns is None:
+                first_ns = stamp_ns
+                stream.height, stream.width = pixels.shape[:2]
+                stream.pix_fmt, stream.codec_context.time_base = pixel_format, clock
+            frame = av.VideoFrame.from_ndarray(pixels, format="rgb24")
+            frame.pts = round(Fraction(stamp_ns - first_ns, 1_000_000_000) / clock)
+            frame.time_base = clock
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    return path
+
+
+def jpeg(pixels: np.ndarray) -> bytes:
+    """A JPEG of RGB (H, W, 3), as OpenCV makes it: quality 95, half of the colours' resolution."""
+    return cv2.imencode(".jpg", pixels[..., ::-1])[1].tobytes()

@@ -9,7 +9,7 @@ from typing import Literal
 
 from analysis.campaign.small_film import SmallFilm
 from analysis.checks import Verdict
-from analysis.record import Curves, Record
+from analysis.record import Curves, Estimate, Record
 from analysis.record_json import read_record
 from tunenet_logs.errors import LogError
 
@@ -40,6 +40,7 @@ class TunedDrop:
         overlay: the curves; None where no drop was found.
         window_s: its first and last sample, since the log's first.
         film: its pictures; None where it has none, or they were not asked for.
+        others: what else was tuned, each one number: how the restitution falls with speed, drag.
     """
 
     log: Path | None
@@ -53,6 +54,7 @@ class TunedDrop:
     overlay: Curves | None
     window_s: tuple[float, float] | None = None
     film: SmallFilm | None = None
+    others: tuple[Estimate, ...] = ()
 
     @property
     def state(self) -> State:
@@ -102,6 +104,11 @@ def drop_of(record: Record, log: Path | None, tuning: Path | None) -> TunedDrop:
         reason=record.reason or "",
         value=value if isinstance(value, float) else None,
         interval95=ends,  # pyright: ignore[reportArgumentType] (one number has one interval)
-        overlay=record.curves,
+        overlay=record.motion.curves,
         window_s=(window["start_s"], window["end_s"]) if window else None,
+        others=tuple(
+            known
+            for known in record.estimates
+            if known.name != "restitution" and isinstance(known.value, float)
+        ),
     )

@@ -45,12 +45,6 @@ def ball_options(group: argparse._ArgumentGroup) -> None:
         metavar="KG",
         help="of the ball [kg], with its diameter: what the air does to it follows",
     )
-    add(
-        "--fit-drag",
-        action="store_true",
-        help="find the air's drag from the bounces; for a light ball of unknown mass, with "
-        "several bounces in view",
-    )
 
 
 def known_ball(arguments: argparse.Namespace) -> Ball:
@@ -71,8 +65,6 @@ def known_ball(arguments: argparse.Namespace) -> Ball:
     if diameter_m is not None:
         ball = replace(ball, diameter_m=diameter_m, mass_kg=None if mass_kg else ball.mass_kg)
     if mass_kg is not None:
-        if arguments.fit_drag:
-            raise UsageError("--fit-drag finds what --ball-mass would tell; leave one out")
         if ball.diameter_m is None:
             raise UsageError(
                 "--ball-mass says nothing without the ball's size; add --ball-diameter"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,14 +16,15 @@ from tunenet_logs.terminal import one_line
 
 if TYPE_CHECKING:
     from analysis.planning.known_ball import KnownBall
+    from recorders.simulators.shot.rig import ShotRig
 
 _DESCRIPTION = """\
 Choose the height from which to let a ball go above an inclined plane, so that it
 bounces through a hoop (the paper's third experiment). 100 heights, evenly over what
 the robot reaches, are tried in a simulator with air, friction, spin and a real rim;
-of those that pass, the best is the one that forgives most: in restitution and in
-height, each by how well it is known. The restitution is that at the shot's own speed,
-where the tuning tells how it falls with speed.
+of those that pass, the best is the one that forgives most: in restitution, height and
+drag, each by how well it is known. Restitution, its slope over speed and drag are those
+that were tuned; the restitution is that at the shot's own speed.
 
 Exit code 1 if no height scores, or the tuning was rejected."""
 
@@ -45,6 +47,13 @@ def build_parser() -> Parser:
         type=number(-1, 1),
         metavar="P",
         help="with --restitution: how it falls with speed, (v / 3 m/s)^-P (default: 0)",
+    )
+    add(
+        "--drag",
+        type=number(0, 10),
+        metavar="K",
+        help="with --restitution: of the air, the ball's deceleration over speed squared [1/m] "
+        "(default: by size and mass of the rig's ball)",
     )
     add("--rig", type=Path, metavar="FILE.yaml", help="your rig (default: the built-in one)")
     add("--save-rig", type=Path, metavar="FILE.yaml", help="write the rig to edit, and stop")
@@ -86,7 +95,7 @@ def _plan(arguments: argparse.Namespace) -> int:
         print(f"rig: {one_line(arguments.save_rig)}; edit it, then give it to --rig")
         return 0
     _refuse_own_input(arguments)
-    ball = _ball(arguments)
+    ball = _ball(arguments, rig)
     for name in ("json", "rrd"):
         if getattr(arguments, name) is not None:
             check_writable(getattr(arguments, name), f"--{name}")
@@ -112,8 +121,8 @@ def _plan(arguments: argparse.Namespace) -> int:
     return int(plan.best is None)
 
 
-def _ball(arguments: argparse.Namespace) -> KnownBall:
-    from analysis.planning.known_ball import TOLD_SD, read_tuning, told_ball
+def _ball(arguments: argparse.Namespace, rig: ShotRig) -> KnownBall:
+    from analysis.planning.known_ball import TOLD_SD, contradiction, read_tuning, told_ball
 
     if (arguments.tuning is None) == (arguments.restitution is None):
         both = arguments.tuning is not None
@@ -124,16 +133,19 @@ def _ball(arguments: argparse.Namespace) -> KnownBall:
         )
     if arguments.tuning is None:
         slope, sd = arguments.slope, arguments.restitution_sd
-        return told_ball(arguments.restitution, slope or 0.0, TOLD_SD if sd is None else sd)
-    for name in ("slope", "restitution_sd"):
+        sd = TOLD_SD if sd is None else sd
+        return told_ball(arguments.restitution, slope or 0.0, sd, arguments.drag)
+    for name in ("slope", "restitution_sd", "drag"):
         if getattr(arguments, name) is not None:
             option = name.replace("_", "-")
             raise UsageError(f"--{option} is for --restitution; a tuning tells it itself")
-    return read_tuning(arguments.tuning)
+    ball = read_tuning(arguments.tuning)
+    contradicted = contradiction(ball, rig.ball, is_told=arguments.rig is not None)
+    return replace(ball, remarks=(*ball.remarks, contradicted)) if contradicted else ball
 
 
 def _refuse_with_save(arguments: argparse.Namespace) -> None:
-    for name in ("tuning", "restitution", "slope", "restitution_sd", "json", "rrd"):
+    for name in ("tuning", "restitution", "slope", "restitution_sd", "drag", "json", "rrd"):
         if getattr(arguments, name) is not None:
             option = name.replace("_", "-")
             raise UsageError(f"--save-rig plans nothing; leave {option} out")

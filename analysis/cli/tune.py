@@ -188,7 +188,6 @@ def _tune(arguments: argparse.Namespace) -> int:
         arguments.end,
         Hints(arguments.roi, arguments.hsv, arguments.ball_at),
         known_ball(arguments),
-        arguments.fit_drag,
         arguments.tare,
         known_arm(arguments),
     )

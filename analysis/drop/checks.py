@@ -5,11 +5,14 @@ What only a film can show is in `film_checks`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from analysis.checks import Check, figures
 from analysis.drop.free_fall import Drop
 from analysis.estimators.base import Observation
+from analysis.record import SimulationFit
 from recorders.simulators.contact import CALIBRATED
 from tunenet_logs.arrays import Array
 
@@ -38,20 +41,33 @@ contact: a ball that sinks in less is still on the table."""
 _MOST_DRIFT = 0.5
 """Of the drop height: a ball that is let go stays nearer; one that is thrown does not."""
 
-_MOST_DRAG = 0.02
-"""By which a fall may be slower than the flight: what the air does to a heavy ball."""
+MOST_EXCESS_PERCENT, _MOST_HELD_OUT = 0.5, 1.0
+"""Of the drop height [%], beyond the noise: what cannot be seen in a review, and what a fit to the
+first part of a recording may be off in the rest."""
+
+_REJECT_EXCESS = 15.0
+"""Of the drop height [%]: a simulation that is farther off is of something else."""
+
+_MOST_LEFT_OUT = 0.05
+"""Fraction of the samples that may be something else than the ball."""
 
 _WITHIN_GRAVITY = 0.05
 """Relative: a fall may be this far from g, as the air and a short fall make it."""
 
 
-def recording_checks(drop: Drop, sideways_m: Array, most_gap_falls: float = 0.0) -> list[Check]:
+def recording_checks(
+    drop: Drop,
+    sideways_m: Array,
+    most_gap_falls: float = 0.0,
+    excused_s: Sequence[float] | Array = (),
+) -> list[Check]:
     """What the recording itself tells.
 
     Args:
         drop: the drop in it.
         sideways_m: the ball's horizontal positions in the drop's window [m], shape (T, 2).
         most_gap_falls: a gap of so many fall times may be, even where it is many periods.
+        excused_s: when a sample is missing that tells nothing of an impact [s].
     """
     height = drop.drop_height_m
     after = drop.seconds > drop.impact_s
@@ -59,7 +75,9 @@ def recording_checks(drop: Drop, sideways_m: Array, most_gap_falls: float = 0.0)
     seen = (drop.seconds[-1] - drop.impact_s) / drop.fall_time_s
     drift = float(np.linalg.norm(np.ptp(sideways_m, axis=0)))
     periods = np.diff(drop.seconds)
-    gap = float(periods.max() / np.median(periods))
+    known_s = np.union1d(drop.seconds, np.asarray(excused_s))
+    longest_s = float(np.diff(known_s).max())
+    gap = longest_s / float(np.median(periods))
     most_gap = max(_MOST_GAP, most_gap_falls * drop.fall_time_s / float(np.median(periods)))
     floor = _MOST_BELOW * height + _BELOW_SDS * drop.noise_m
     flown, wanted = figures(seen, _LEAST_SEEN, 1)
@@ -72,6 +90,7 @@ def recording_checks(drop: Drop, sideways_m: Array, most_gap_falls: float = 0.0)
             seen > _LEAST_SEEN,
             f"{flown} fall times (wanted: {wanted} or more)",
             advice="record until the ball lies still",
+            doubts_model=False,
         ),
         Check(
             "stays on the table",
@@ -90,6 +109,7 @@ def recording_checks(drop: Drop, sideways_m: Array, most_gap_falls: float = 0.0)
             gap < most_gap,
             f"longest gap {longest} periods (less than {too_long})",
             advice="keep the ball in sight all the way, and the rate steady",
+            doubts_model=False,
         ),
     ]
 
@@ -117,18 +137,7 @@ def fall_checks(drop: Drop, restitution: float) -> list[Check]:
             )
         )
     flight_samples = 2 * restitution * drop.fall_time_s / float(np.median(np.diff(drop.seconds)))
-    if not np.isnan(drop.drag):
-        most = _MOST_DRAG + 2 * drop.drag_sd
-        slower, most_slower = figures(100 * drop.drag, 100 * most, 1)
-        checks.append(
-            Check(
-                "no air drag",
-                drop.drag < most,
-                f"falls {slower} % slower than it flies (at most {most_slower})",
-                advice="drop from lower, where the air does less",
-            )
-        )
-    elif flight_samples >= _CLEAR_FLIGHT:
+    if np.isnan(drop.flight_restitution) and flight_samples >= _CLEAR_FLIGHT:
         detail = (
             f"none found in the {flight_samples:.0f} samples of the first flight "
             "(a filtered track?)"
@@ -147,6 +156,7 @@ def rebound_check(drop: Drop, restitution: float) -> Check:
         hop_m > _CLEAR_HOP * drop.noise_m,
         f"{high} mm high (wanted: over {least}, {_CLEAR_HOP} times the noise)",
         advice="drop from higher, or record with less noise",
+        symptom=True,
     )
 
 
@@ -166,8 +176,50 @@ def sure_check(low: float, high: float, reject: float = np.inf) -> Check:
         f"95 % interval of ±{shown} (at most {most})",
         fatal=half > reject,
         advice="drop from higher, or record larger or at a higher rate",
+        symptom=True,
         doubts_model=False,
     )
+
+
+def motion_checks(fit: SimulationFit | None) -> list[Check]:
+    """Whether the tuned simulator moves as the ball was seen to, and whether it foretells it.
+
+    A simulator that leaves the observation is not tuned, whatever interval the fit has.
+    """
+    if fit is None:
+        return []
+    seen, most = figures(fit.excess_percent, MOST_EXCESS_PERCENT, 2)
+    share = fit.left_out / max(fit.samples + fit.left_out, 1)
+    found = [
+        Check(
+            "simulation fits",
+            fit.excess_percent < MOST_EXCESS_PERCENT,
+            f"{seen} % of the drop height apart beyond the noise, rms of {fit.samples} samples (at "
+            f"most {most}); {fit.worst_percent:.2f} % at worst",
+            fatal=fit.excess_percent > _REJECT_EXCESS,
+            advice="drop it again without spin, onto a hard and level surface",
+        ),
+        Check(
+            "samples are the ball's",
+            share <= _MOST_LEFT_OUT,
+            f"{fit.left_out} of {fit.samples + fit.left_out} are elsewhere (at most "
+            f"{100 * _MOST_LEFT_OUT:.0f} %)",
+            advice="keep other things that move, or are marked, away from the ball",
+        ),
+    ]
+    if fit.held_out_percent is not None:
+        off, most = figures(fit.held_out_percent, _MOST_HELD_OUT, 2)
+        found.append(
+            Check(
+                "foretells the rest",
+                fit.held_out_percent < _MOST_HELD_OUT,
+                f"by the first 60 % of the time the rest is {off} % of the drop height off (at "
+                f"most {most})",
+                advice="drop from higher, or record more bounces at a higher rate",
+                doubts_model=False,
+            )
+        )
+    return found
 
 
 def fit_check(
@@ -195,4 +247,5 @@ def fit_check(
         f"{apart} % of the drop height apart, rms (at most {most_apart})",
         fatal=rms > reject,
         advice="drop it again without spin, onto a hard and level surface",
+        symptom=True,
     )

@@ -6,25 +6,20 @@ one for the heights to be true; the restitution does not depend on it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.drop.film_fit import DRAGGED, SLOPED, FilmFit, TrackSamples
-from analysis.drop.film_search import (
-    FEWEST_SAMPLES,
-    Balls,
-    FilmFits,
-    best_of,
-    film_impacts,
-    fits_from,
-    is_good,
-    misfit,
-)
+from analysis.drop.bounce_fit import BounceFit
+from analysis.drop.bounce_model import IMPACT, BounceSamples
+from analysis.drop.bounce_posterior import BallPosterior, ball_posterior
+from analysis.drop.bounce_samples import FEWEST_SAMPLES
+from analysis.drop.film_faults import late_fault
+from analysis.drop.film_reasons import too_small, why_not
+from analysis.drop.film_search import FilmFit, bounces_end, film_impacts, fit_from, is_good, misfit
 from analysis.drop.free_fall import Drop
-from analysis.drop.observations import canonical_axis, paper_axis
+from analysis.drop.observations import canonical_axis, canonical_observation, paper_axis
 from analysis.drop.projection import Projection
 from analysis.estimators.base import Observation, resample
 from analysis.statistics import noise_of
@@ -53,8 +48,8 @@ _EARLIER, _LATER = 1.1, 0.8
 _MOST_CANDIDATES = 6
 """Impacts that may be the first of a drop: what moves before it is a hand's."""
 
-_CLEARLY = 3.0
-"""Log likelihood that another ball than the ideal one has to gain: 20 to 1."""
+_MOST_CUTS = 3
+"""Times that the end of a track is left out."""
 
 _NO_DROP, _ENDLESS = 0.05, 0.995
 """Rms residual, as a fraction of the fall, and restitution: what has more is no drop."""
@@ -70,11 +65,10 @@ class FilmedDrop:
     Attributes:
         track: the ball in every picture.
         down_px: unit vector of the image's vertical, shape (2,).
-        fits: to the same samples: of a ball that keeps its restitution, of one whose restitution
-            falls with speed, and of one that the air slows; the latter unless the air is known, and
-            not the one before if the drag is asked for.
-        best: of the fits: the ideal ball's unless another explains clearly more.
-        projection: where its heights are in the picture, by the best fit; on the log's time.
+        posterior: what the track says of the ball, and the fit that goes with it.
+        projection: where its heights are in the picture, by that fit; on the log's time.
+        end_s: when what the ball does after its first impact ends in the picture, on the drop's
+            clock: lifted, or long not found.
         used: which pictures the drop is made of, shape (T,) of the track.
         sideways: distance from the image's vertical [drop heights], shape (used pictures,).
         drop: its heights by the projection, contact at 0.
@@ -82,31 +76,49 @@ class FilmedDrop:
             from.
         later_s: impacts after it, after falls as deep, on the drop's clock.
         flights: how many it is made of where the ball bounces otherwise after them; None where not.
+        uneven_s: when its clock jumps, after the second impact: what comes later is left out; None
+            where it does not.
     """
 
     track: Track
     down_px: Array
-    fits: tuple[FilmFit, ...]
-    best: FilmFit
+    posterior: BallPosterior
     projection: Projection
+    end_s: float
     used: NDArray[np.bool_]
     sideways: Array
     drop: Drop
     left_out: int
     later_s: tuple[float, ...]
     flights: int | None = None
+    uneven_s: float | None = None
+
+    @property
+    def fit(self) -> BounceFit:
+        """The ball of the posterior in the camera that goes with it."""
+        return self.posterior.fit
 
 
-def find_filmed_drop(
-    track: Track, start_ns: int, ball: Ball | None = None, *, fit_drag: bool = False
-) -> FilmedDrop:
+class _NoDropError(Exception):
+    """No bounce could be fitted to a track.
+
+    Attributes:
+        impacts: samples at which a fall may end.
+        fitted: whether any of them follows a free fall.
+    """
+
+    def __init__(self, impacts: list[int], fitted: bool) -> None:
+        super().__init__()
+        self.impacts, self.fitted = impacts, fitted
+
+
+def find_filmed_drop(track: Track, start_ns: int, ball: Ball | None = None) -> FilmedDrop:
     """The first drop in a track.
 
     Args:
         track: see `track_ball`.
         start_ns: where the drop's clock is 0.
         ball: what was dropped, if that is known.
-        fit_drag: whether to find the air's drag, and not the slope of the restitution.
 
     Raises:
         NotFoundError: there is none; the message says why.
@@ -119,58 +131,63 @@ def find_filmed_drop(
     along = -(track.places_px[known] @ down)
     span = float(np.ptp(along))
     if span < _LEAST_SPAN_PX:
-        raise NotFoundError(f"the ball moves by only {span:.0f} px: film it larger, from closer")
-    drag_1_m = (ball.drag_1_m if ball and not fit_drag else None) or 0.0
+        raise NotFoundError(too_small(track, span))
     least_px = _WHOLE_PX_NOISE if is_whole(track.places_px[known]) else _LEAST_NOISE_PX
     noise_px = max(noise_of(along), least_px)
     distortion_px = _STRAIGHT * span
-    whole = TrackSamples(
+    whole = BounceSamples(
         seconds=seconds,
-        positions_px=along,
-        noise_px=max(noise_px, distortion_px),
+        positions=along,
+        noise=max(noise_px, distortion_px),
         distortion_variance_fraction=max(0.0, 1 - (noise_px / distortion_px) ** 2),
-        drag_1_s2=drag_1_m * CALIBRATED.gravity_m_s2 / 2,
+        drag_1_m=ball.drag_1_m if ball else None,
         exposure_s=min(track.exposure_s, float(np.median(np.diff(seconds)))),
     )
-    balls = (DRAGGED,) if fit_drag else (SLOPED,) if drag_1_m else (SLOPED, DRAGGED)
-    fits, flights = _find_fits(whole, balls)
-    best = _preferred_fit(fits)
-    projection = best.projection()
+    try:
+        found, impacts, uneven_s = _trusted_fit(whole)
+    except _NoDropError as error:
+        reason = why_not(track, whole, error.impacts, fitted=error.fitted)
+        raise NotFoundError(reason) from error
+    posterior = ball_posterior(found.fit)
+    fit = posterior.fit
+    projection = fit.projection()
+    end_s = float(seconds[bounces_end(seconds, along, impacts) - 1])
     before_s = projection.impact_s - projection.fall_time_s / 4
     before = whole.part(0, int(np.searchsorted(seconds, before_s)))
-    later = whole.part(int(np.searchsorted(seconds, best.samples.seconds[-1])), len(seconds))
-    begin = int(np.searchsorted(seconds, best.samples.seconds[0] - _MARGIN_S))
-    last = int(np.searchsorted(seconds, best.samples.seconds[-1], side="right"))
+    later = whole.part(int(np.searchsorted(seconds, fit.samples.seconds[-1])), len(seconds))
+    begin = int(np.searchsorted(seconds, fit.samples.seconds[0] - _MARGIN_S))
+    last = int(np.searchsorted(seconds, fit.samples.seconds[-1], side="right"))
     used = np.zeros(len(track.stamps_ns), dtype=bool)
     used[known[begin:last]] = True
     across = track.places_px[used] @ np.array([down[1], -down[0]])
     return FilmedDrop(
         track=track,
         down_px=down,
-        fits=fits,
-        best=best,
+        posterior=posterior,
         projection=projection,
+        end_s=end_s if uneven_s is None else min(end_s, uneven_s),
         used=used,
-        sideways=(across - np.median(across)) / projection.span_px,
-        drop=_drop(seconds[begin:last], along[begin:last], projection, whole.noise_px, begin),
-        left_out=len(_deep_falls_s(before, _EARLIER * projection.span_px)),
-        later_s=tuple(_deep_falls_s(later, _LATER * projection.span_px)),
-        flights=flights,
+        sideways=(across - np.median(across)) / projection.span,
+        drop=_drop(seconds[begin:last], along[begin:last], projection, whole.noise, begin),
+        left_out=len(_deep_falls_s(before, _EARLIER * projection.span)),
+        later_s=tuple(_deep_falls_s(later, _LATER * projection.span)),
+        flights=found.flights,
+        uneven_s=uneven_s,
     )
 
 
 def canonical_film(film: FilmedDrop) -> Observation:
-    """The flights that were seen, on the canonical grid of `canonical`.
+    """The fall and the flights that were seen, on the canonical grid of `canonical`.
 
-    They are those of the fitted ball, without the air, not the samples: those carry the noise of a
-    track, which counts for much where a bounce is small.
+    They are those of the fitted ball, not the samples: those carry the noise of a track, which
+    counts for much where a bounce is small.
     """
     axis, fit, drop = canonical_axis(), film.projection, film.drop
-    values = replace(fit.bounce, drag=0.0).heights(axis)
-    last = float(fit.fall_times(drop.seconds[-1:])[0])
+    values = fit.bounce.heights(axis)
+    first, last = fit.fall_times(drop.seconds[[0, -1]]).tolist()
     seen = last if np.isnan(drop.rest_m) else np.inf
-    values[axis > seen] = np.nan
-    return Observation(values[:, None], axis, "time after impact [fall times]", ("[drop heights]",))
+    values[(axis < first) | (axis > seen)] = np.nan
+    return canonical_observation(values)
 
 
 def image_rows(film: FilmedDrop, start_s: float) -> Observation:
@@ -211,7 +228,7 @@ def _drop(seconds: Array, along: Array, fit: Projection, noise_px: float, first:
     """The heights of positions along the vertical; at rest where 6 samples or more lie still."""
     gravity = CALIBRATED.gravity_m_s2
     height_m = gravity * fit.fall_time_s**2 / 2
-    heights = np.clip(fit.heights(along), -1.0, 2.0)
+    heights = np.clip(fit.heights(along, seconds), -1.0, 2.0)
     last = float(fit.fall_times(seconds[-1:])[0])
     starts, speeds = fit.bounce.flights(last)
     lies_s = fit.impact_s + fit.fall_time_s * float(starts[-1])
@@ -220,7 +237,7 @@ def _drop(seconds: Array, along: Array, fit: Projection, noise_px: float, first:
         first=first,
         seconds=seconds,
         heights_m=heights * height_m,
-        release_s=fit.impact_s - fit.fall_time_s,
+        release_s=fit.impact_s - fit.fall_time_s * fit.bounce.fall_time,
         release_m=height_m,
         impact_s=fit.impact_s,
         contact_m=0.0,
@@ -228,83 +245,76 @@ def _drop(seconds: Array, along: Array, fit: Projection, noise_px: float, first:
         flight_restitution=fit.bounce.restitution,
         flight_restitution_sd=float("nan"),
         gravity_m_s2=gravity,
-        drag=float("nan"),
-        drag_sd=float("nan"),
-        noise_m=noise_px / fit.span_px * height_m,
+        flight_gravity_m_s2=float("nan"),
+        fall_s=(fit.impact_s, fit.impact_s),
+        flight_s=(fit.impact_s, fit.impact_s),
+        noise_m=noise_px / fit.span * height_m,
+        rest_s=float("nan"),
         rest_m=0.0 if len(lying) > 5 else float("nan"),
         rest_tolerance_m=height_m,
     )
 
 
-def _find_fits(whole: TrackSamples, balls: Balls) -> FilmFits:
-    """The fits from the first impact that may be the first one.
+def _find_fit(whole: BounceSamples) -> tuple[FilmFit, list[int]]:
+    """The fit from the first impact that may be the first one, and the impacts from there on.
 
     Raises:
-        NotFoundError: from none of them on the track is a drop's.
+        _NoDropError: from none of them on the track is a drop's.
     """
-    impacts = film_impacts(whole.seconds, whole.positions_px, whole.noise_px)
-    span = float(np.ptp(whole.positions_px))
+    impacts = film_impacts(whole.seconds, whole.positions, whole.noise)
+    span = float(np.ptp(whole.positions))
     fitted = False
-    plausible: list[FilmFits] = []
+    plausible: list[tuple[FilmFit, list[int]]] = []
     for at in range(min(len(impacts), _MOST_CANDIDATES)):
-        fits = fits_from(whole, impacts[at:], balls)
-        if not fits.balls:
+        found = fit_from(whole, impacts[at:])
+        if found is None:
             continue
         fitted = True
-        best = best_of(fits.balls)
-        view = best.projection()
-        seen = view.fall_times(best.samples.seconds[-1:])[0] > _LEAST_SEEN
-        size = abs(np.log(view.span_px / span)) < _MOST_LOG_SIZE
-        bounces = view.residual_rms_px / view.span_px < _NO_DROP
+        view = found.fit.projection()
+        seen = view.fall_times(found.fit.samples.seconds[-1:])[0] > _LEAST_SEEN
+        size = abs(np.log(view.span / span)) < _MOST_LOG_SIZE
+        bounces = view.residual_rms / view.span < _NO_DROP
         if seen and size and bounces and view.bounce.restitution <= _ENDLESS:
-            plausible.append(fits)
-            if is_good(fits.balls):
+            plausible.append((found, impacts[at:]))
+            if is_good(found.fit):
                 break
     if not plausible:
-        raise NotFoundError(_why_not(whole, impacts, fitted))
-    return min(plausible, key=lambda fits: 0.0 if is_good(fits.balls) else misfit(fits.balls))
+        raise _NoDropError(impacts, fitted)
+    return min(plausible, key=lambda one: 0.0 if is_good(one[0].fit) else misfit(one[0].fit))
 
 
-def _preferred_fit(fits: Sequence[FilmFit]) -> FilmFit:
-    """The ideal ball's fit, the first one, unless another explains clearly more."""
-    ideal, best = fits[0], best_of(fits)
-    scale = min(fit.scale_px for fit in fits)
-    gained = (ideal.cost(scale) - best.cost(scale)) / best.effective_sample_factor
-    return best if gained > _CLEARLY else ideal
+def _trusted_fit(whole: BounceSamples) -> tuple[FilmFit, list[int], float | None]:
+    """The fit to the track before its `late_fault`, its impacts, when a clock is at fault [s].
+
+    Raises:
+        _NoDropError: see `_find_fit`.
+    """
+    (found, impacts), uneven_s = _find_fit(whole), None
+    for _ in range(_MOST_CUTS):
+        fault = late_fault(found.fit)
+        if fault is None:
+            break
+        try:
+            shorter, _ = _find_fit(whole.part(0, int(whole.seconds.searchsorted(fault.seconds))))
+        except _NoDropError:
+            break
+        apart_s = shorter.fit.unknowns[IMPACT] - found.fit.unknowns[IMPACT]
+        if abs(apart_s) > shorter.fit.projection().fall_time_s / 4:
+            break  # of another drop
+        found = FilmFit(shorter.fit, shorter.flights or fault.flights or found.flights)
+        uneven_s = fault.seconds if fault.flights is None else uneven_s
+    return found, impacts, uneven_s
 
 
-def _deep_falls_s(samples: TrackSamples, least_px: float) -> list[float]:
+def _deep_falls_s(samples: BounceSamples, least_px: float) -> list[float]:
     """When falls of at least `least_px` end in an impact [s]."""
-    seconds, positions = samples.seconds, samples.positions_px
+    seconds, positions = samples.seconds, samples.positions
     if len(seconds) < FEWEST_SAMPLES:
         return []
-    impacts = film_impacts(seconds, positions, samples.noise_px)
+    impacts = film_impacts(seconds, positions, samples.noise)
     begins = [0, *impacts]
     return [
         float(seconds[at])
         for begin, at in zip(begins, impacts, strict=False)
         if positions[begin : at + 1].max() - positions[at] > least_px
     ]
-
-
-def _why_not(whole: TrackSamples, impacts: list[int], fitted: bool) -> str:
-    if not impacts:
-        return (
-            "no bounce is seen: the ball never falls onto anything in view; at the next drop: "
-            "keep the table in view"
-        )
-    after = len(whole.seconds) - impacts[-1]
-    if len(impacts) == 1 and after < FEWEST_SAMPLES:
-        return (
-            f"the recording, or what is seen of the ball, ends {after} pictures after the impact; "
-            "at the next drop: record until the ball lies still, all in view"
-        )
-    if not fitted:
-        return (
-            "no free fall is seen before an impact (carried, caught, or too few pictures); at the "
-            "next drop: let go above the table, in view, and record until the ball lies still"
-        )
-    return (
-        "what the ball does is no drop: it does not bounce along parabolas of one acceleration; at "
-        "the next drop: let it bounce on a flat table, untouched, the camera still"
-    )

@@ -10,10 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis.checks import Check
 from analysis.drop.film import FilmedDrop, is_whole
-from analysis.drop.film_fit import IMPACT, SLOPED, FilmFit
+from analysis.drop.film_faults import MOST_CLOCK_GAIN, clock_test, long_steps
+from analysis.drop.film_reasons import LEAST_FREE, free_flight
 from analysis.drop.projection import Projection
 from tunenet_logs.arrays import Array
 
@@ -26,17 +28,20 @@ _CLEAR_HOP = 6
 _SEEN, _REJECT_SEEN, _LOOKED_AT = 0.8, 0.6, 4.0
 """Fractions of the pictures in which the ball has to be found, and fall times of them."""
 
+_AWAY = 0.25
+"""Fall times from an impact, beyond which none hides where the ball is out of view."""
+
 _RESIDUAL, _REJECT_RESIDUAL, _REJECT_WORST = 0.02, 0.03, 0.10
 """Of the drop height: rms that passes, and from which on, or a worst one, nothing is a drop."""
+
+_LONG_STEPS = 2
+"""Of pictures that were lost one here, one there; the clock's test is for one alone."""
 
 _PERSPECTIVE = 1.4
 """Two standard deviations of its prior."""
 
 _REPEATED, _STEP_PX, _SAME_PX = 0.05, 1.5, 0.02
 """Fraction of repeated pictures that passes: the ball should move by the step, and did not move."""
-
-_CLOCK = 12.0
-"""Log likelihood ratio: of 120 tries chance alone reaches about 5."""
 
 _GROWS, _PERSPECTIVES_APART = 0.2, 0.2
 """Fraction of a size, and difference of k, that pass: light changes a ball's outline."""
@@ -50,11 +55,8 @@ _FEWEST_FLIGHTS = 2
 _BY_DROP_HEIGHT, _BY_DIAMETER = 1.3, 1.8
 """Factors that a known length may be off: a diameter in the picture is blurred."""
 
-_MOMENTS, _EDGE = 60, 3
-"""Moments at which a jump is looked for, and samples to either end where none can be told."""
-
 _FEWEST = 12
-"""Samples for a test of clock or size."""
+"""Samples for a test of size."""
 
 _AT_REST = 1.0
 """Fall times of a rest whose sizes count."""
@@ -62,17 +64,29 @@ _AT_REST = 1.0
 
 def film_checks(film: FilmedDrop) -> list[Check]:
     """What speaks for and against a track as a drop's."""
-    span = film.projection.span_px
-    residual = film.projection.residual_rms_px / span
-    worst = float(np.quantile(np.abs(film.best.residuals_px) / span, 0.98))
+    span = film.projection.span
+    residual = film.projection.residual_rms / span
+    worst = float(np.quantile(np.abs(film.fit.residuals) / span, 0.98))
     seen, repeated = _seen_and_repeated(film)
-    gain, moment_s = clock_test(film.best)
+    gain, moment_s = clock_test(film.fit)
+    uneven_s = film.uneven_s
+    left_out = "" if uneven_s is None else f"; what comes after {uneven_s:.2f} s is left out"
+    flight = free_flight(film.track, film.used)
+    long = long_steps(film.fit) if residual < _REJECT_RESIDUAL else 0  # else nothing is expected
     return [
+        Check(
+            "flies freely",
+            not flight.is_carried,
+            f"free flight in {100 * flight.share:.0f} % of its way (wanted: "
+            f"{100 * LEAST_FREE:.0f} or more)",
+            advice="let go above the table and touch nothing, the camera still",
+        ),
         Check(
             "large enough",
             span > _LEAST_SPAN_PX,
             f"falls {span:.0f} px (wanted: {_LEAST_SPAN_PX} or more)",
             advice="film from closer, the fall over half of the picture's height",
+            doubts_model=False,
         ),
         Check(
             "first impact",
@@ -87,6 +101,7 @@ def film_checks(film: FilmedDrop) -> list[Check]:
             f"(wanted: {100 * _SEEN:.0f} or more)",
             fatal=seen < _REJECT_SEEN,
             advice="leave room at the sides, a plain background; mark the ball with --preview",
+            doubts_model=False,
         ),
         Check(
             "pictures differ",
@@ -95,11 +110,18 @@ def film_checks(film: FilmedDrop) -> list[Check]:
             advice="record at a rate that the camera keeps",
         ),
         Check(
+            "no pictures missing",
+            long < _LONG_STEPS,
+            f"{long} steps of the ball are far too long for the stamps (at most {_LONG_STEPS - 1})",
+            advice="use the camera's own file, not a copy at another rate",
+        ),
+        Check(
             "bounces along parabolas",
             residual < _RESIDUAL,
             f"{100 * residual:.2f} % of the drop height off, rms (at most {100 * _RESIDUAL:.0f})",
             fatal=residual > _REJECT_RESIDUAL or worst > _REJECT_WORST,
             advice="let the ball bounce in the middle of a flat table, with nothing in its way",
+            symptom=True,
         ),
         Check(
             "bounces alike",
@@ -109,12 +131,14 @@ def film_checks(film: FilmedDrop) -> list[Check]:
             else f"only until the {film.flights + 1}. impact, what comes later is left out "
             f"(wanted: {_FEWEST_FLIGHTS} flights or more)",
             advice="a round ball, a flat and level table",
+            doubts_model=False,  # what comes later touches no flight that counts
+            symptom=True,
         ),
         Check(
             "even clock",
-            gain < _CLOCK,
-            f"log likelihood ratio {gain:.1f} for a jump or another rate, at {moment_s:.2f} s "
-            f"(at most {_CLOCK:.0f})",
+            gain < MOST_CLOCK_GAIN,
+            f"log likelihood ratio {gain:.1f} for missing pictures or another rate, at "
+            f"{moment_s:.2f} s (at most {MOST_CLOCK_GAIN:.0f}){left_out}",
             advice="use the camera's own file, not a copy at another rate; name another ball or "
             "none, if one was named; a lens that bends less",
         ),
@@ -124,7 +148,7 @@ def film_checks(film: FilmedDrop) -> list[Check]:
 
 def hop_check(film: FilmedDrop, restitution: float) -> Check:
     """Whether the first bounce can be seen at all, where no interval tells."""
-    span = film.projection.span_px
+    span = film.projection.span
     noise_px = film.drop.noise_m / film.drop.drop_height_m * span
     hop_px, least = restitution**2 * span, max(_CLEAR_HOP * noise_px, 1.0)
     return Check(
@@ -132,17 +156,20 @@ def hop_check(film: FilmedDrop, restitution: float) -> Check:
         hop_px > least,
         f"{hop_px:.1f} px high (wanted: over {least:.1f})",
         advice="film from closer",
+        symptom=True,
     )
 
 
 def _distance_checks(film: FilmedDrop) -> list[Check]:
     """Of the perspective, and of the ball's size where that is seen."""
     fit, track = film.projection, film.track
+    too_near = abs(fit.perspective) >= _PERSPECTIVE
+    side = (", from below" if fit.perspective > 0 else ", from above") if too_near else ""
     checks = [
         Check(
             "seen from a distance",
-            abs(fit.perspective) < _PERSPECTIVE,
-            f"perspective {fit.perspective:+.2f} (at most {_PERSPECTIVE} either way)",
+            not too_near,
+            f"perspective {fit.perspective:+.2f}{side} (at most {_PERSPECTIVE} either way)",
             advice="film from farther away, the camera at the height of the bounces",
         )
     ]
@@ -188,7 +215,7 @@ def scale_checks(
         known_m, within = drop_height_m, _BY_DROP_HEIGHT
     elif ball_diameter_m is not None and 0 < ball_diameter_m < np.inf:
         diameter_px = 2 * float(np.nanmedian(film.track.radius_px[film.used]))
-        known_m, within = film.projection.span_px / diameter_px * ball_diameter_m, _BY_DIAMETER
+        known_m, within = film.projection.span / diameter_px * ball_diameter_m, _BY_DIAMETER
     else:
         return []
     by_time_m = film.drop.drop_height_m
@@ -206,50 +233,51 @@ def scale_checks(
 def _seen_and_repeated(film: FilmedDrop) -> tuple[float, float]:
     """Two fractions of pictures: in which the ball is found, and in which it has not moved at all.
 
-    The first is of those from mid-fall for four fall times, the second of those with a moving ball.
+    The first is of those from mid-fall for four fall times, without those that it flies out of; the
+    second of those with a moving ball.
     """
-    fit, best, track = film.projection, film.best, film.track
+    fit, best, track = film.projection, film.fit, film.track
     end_s = min(float(film.drop.seconds[-1]), fit.impact_s + _LOOKED_AT * fit.fall_time_s)
-    origin_s = film.drop.seconds[0] - track.stamps_ns[film.used][0] * 1e-9
-    seconds = track.stamps_ns * 1e-9 + origin_s
+    seconds = _track_seconds(film)
     wanted = (seconds > fit.impact_s - fit.fall_time_s / 2) & (seconds <= end_s)
+    wanted &= ~_out_of_view(film)
     seen = float(np.mean(track.found[wanted])) if wanted.any() else 0.0
-    positions = best.samples.positions_px
-    expected = np.abs(np.diff(positions + best.residuals_px))
+    positions = best.samples.positions
+    expected = np.abs(np.diff(positions + best.residuals))
     whole = is_whole(track.places_px[film.used])  # then noise may hide a step
-    moving = expected > (max(_STEP_PX, _SDS * best.samples.noise_px) if whole else _STEP_PX)
+    moving = expected > (max(_STEP_PX, _SDS * best.samples.noise) if whole else _STEP_PX)
     moving &= fit.fall_times(best.samples.seconds[1:]) > -1
     same = np.abs(np.diff(positions)) < _SAME_PX
     return seen, float(np.mean(same[moving])) if np.count_nonzero(moving) > 3 else 0.0
 
 
-def clock_test(fit: FilmFit) -> tuple[float, float]:
-    """Whether the clock jumps, or goes at another rate, from some moment on.
+def seconds_out_of_view(film: FilmedDrop) -> Array:
+    """Times at which the ball is not found because it flies out of the picture, shape (N,) [s]."""
+    return _track_seconds(film)[_out_of_view(film) & ~film.track.found]
 
-    By Rao's score test: one more unknown, linear about the fit, the best of all moments.
 
-    Args:
-        fit: of the drop.
+def _track_seconds(film: FilmedDrop) -> Array:
+    """Of all pictures, on the drop's clock [s], shape (T,)."""
+    seconds = film.track.stamps_ns * 1e-9
+    return seconds + film.drop.seconds[0] - seconds[film.used][0]
 
-    Returns:
-        How much likelier that makes the track (logarithm), and the moment [s].
-    """
-    samples = fit.samples
-    seconds = samples.seconds
-    if len(seconds) < _FEWEST:
-        return 0.0, float(seconds[0])
-    known, _ = np.linalg.qr(samples.jacobian(fit.unknowns, SLOPED))
-    speed = -samples.jacobian(fit.unknowns, (IMPACT,))[:, 0]
-    every = max(1, len(seconds) // _MOMENTS)
-    moments = seconds[_EDGE:-_EDGE:every]
-    since = seconds[:, None] - moments
-    shifts = np.hstack([since > 0, np.maximum(since, 0.0)]) * speed[:, None]
-    new = shifts - known @ (known.T @ shifts)
-    power = np.maximum((new**2).sum(axis=0), 1e-9 * (shifts**2).sum(axis=0) + 1e-12)
-    gains = (new.T @ fit.residuals_px) ** 2 / power / fit.scale_px**2
-    gains = gains / fit.effective_sample_factor / 2
-    best = int(gains.argmax())
-    return float(gains[best]), float(moments[best % len(moments)])
+
+def _out_of_view(film: FilmedDrop) -> NDArray[np.bool_]:
+    """Pictures whose edge cuts the fitted ball in flight, well away from an impact, shape (T,)."""
+    fit, track = film.projection, film.track
+    seconds = _track_seconds(film)
+    times = fit.fall_times(seconds)
+    starts, _ = fit.bounce.flights(float(times[-1]))
+    apart = np.abs(times[:, None] - starts).min(axis=1)
+    along = fit.positions(fit.bounce.heights(times), seconds)
+    across_px = np.array([film.down_px[1], -film.down_px[0]])
+    known = np.flatnonzero(track.found)
+    across = np.interp(seconds, seconds[known], track.places_px[known] @ across_px)
+    places = across[:, None] * across_px - along[:, None] * film.down_px
+    radius = float(np.nanmedian(track.radius_px[film.used]))
+    far = np.array(track.size_px) - 1 - radius
+    cut = np.any((places < radius) | (places > far), axis=1)
+    return cut & (apart > _AWAY)
 
 
 @dataclass(frozen=True)
@@ -283,7 +311,7 @@ def size_trend(
         radius_px: shape (T,); NaN where it is not known.
         projection: of the drop.
     """
-    heights = np.clip(projection.heights(along_px), 0.0, 1.2)
+    heights = np.clip(projection.heights(along_px, seconds), 0.0, 1.2)
     times = projection.fall_times(seconds)
     last = float(projection.impacts(float(seconds[-1]))[-1])
     good = np.isfinite(radius_px) & (radius_px > 0) & (times > -1) & (times < last + _AT_REST)

@@ -1,4 +1,4 @@
-"""Balls fitted to a track from an impact on: which of its samples count, and for what flights."""
+"""A bounce fitted to a film's track from an impact on: which samples count, for what flights."""
 
 from __future__ import annotations
 
@@ -8,31 +8,27 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analysis.drop.film_fit import (
+from analysis.drop.bounce_fit import BounceFit, best_of, fit_bounce
+from analysis.drop.bounce_grid import grid_starts
+from analysis.drop.bounce_model import (
     DRAG,
     FALL,
     IDEAL,
     IMPACT,
+    MOST_BENDS,
     PERSPECTIVE,
     RESTITUTION,
     SLOPE,
     SPAN,
-    FilmFit,
-    TrackSamples,
-    fit_film,
-    grid_starts,
+    BounceSamples,
 )
+from analysis.drop.bounce_samples import MOST_IMPACTS, sharp, with_held
 from analysis.drop.free_fall import run_slopes, slope_corners
+from analysis.statistics import correlation_time
 from tunenet_logs.arrays import Array
-
-Balls = Sequence[tuple[int, ...]]
-"""Free unknowns of each kind of ball that is fitted."""
 
 FEWEST_SAMPLES = 12
 """For six unknowns and a noise."""
-
-MOST_IMPACTS = 6
-"""Of a fit: a later bounce is too low to say more, and one law holds less well for it."""
 
 _FALL_FRACTIONS = (0.96, 0.8, 0.6)
 """Lower parts of a descent that are tried as its free fall, the largest first."""
@@ -43,7 +39,7 @@ _ROUGHLY = (10, 1e-4)
 iterations and gain in cost that end those fits, which are only compared."""
 
 _FEWEST = 4
-"""TrackSamples of a fall, and of what follows it."""
+"""Samples of a fall, and of what follows it."""
 
 _REST_SEEN = 2.0
 """Fall times of a rest that are fitted: more of them would only repeat the contact's position."""
@@ -59,6 +55,9 @@ _LITTLE, _EXACT = 0.004, 0.001
 
 _HOPELESS = 0.12
 """Fraction of the fall, rms: a rough fit with more becomes no drop's."""
+
+_CLEARLY = 8.0
+"""Log likelihood that bends of the contact have to gain: of 100 straight ones 1 gains as much."""
 
 _STEEP = 0.25
 """A slope beyond those of real balls."""
@@ -80,53 +79,49 @@ _GAP_S = 1.0
 """A longer time in which the ball is not found ends its bounces."""
 
 
-class FilmFits(NamedTuple):
-    """Balls, fitted to the same samples.
+class FilmFit(NamedTuple):
+    """A bounce fitted to a film.
 
     Attributes:
-        balls: the ideal one first.
+        fit: of all unknowns.
         flights: how many are explained of a ball that then bounces otherwise; None where all are.
     """
 
-    balls: tuple[FilmFit, ...]
+    fit: BounceFit
     flights: int | None = None
 
 
-def best_of(fits: Sequence[FilmFit]) -> FilmFit:
-    """The likeliest of fits to the same samples."""
-    scale = min(fit.scale_px for fit in fits)
-    return min(fits, key=lambda fit: fit.cost(scale))
-
-
-def fits_from(whole: TrackSamples, impacts: Sequence[int], balls: Balls) -> FilmFits:
-    """The fits if the first of these is the first impact; none where no fall is seen before."""
-    index, last = impacts[0], bounces_end(whole.seconds, whole.positions_px, impacts)
-    best: tuple[FilmFit, ...] = ()
+def fit_from(whole: BounceSamples, impacts: Sequence[int]) -> FilmFit | None:
+    """The fit if the first of these is the first impact; None where no fall is seen before."""
+    index, last = impacts[0], bounces_end(whole.seconds, whole.positions, impacts)
+    best: BounceFit | None = None
     for fraction in _FALL_FRACTIONS:
-        first = fall_start(whole.positions_px, index, fraction, whole.noise_px)
+        first = fall_start(whole.positions, index, fraction, whole.noise)
         if index - first < _FEWEST or last - index < _FEWEST:
             continue
         rough = _rough_fits(whole.part(first, last), float(whole.seconds[index]))
         if not rough:
             continue
         view = rough[0].projection()
-        hopeful = view.residual_rms_px / view.span_px < _HOPELESS
-        fits = _finished(whole, rough, balls) if hopeful else (rough[0],)
-        if not best or misfit(fits) < 0.7 * misfit(best):
-            best = fits
-        if is_good(fits):
-            return FilmFits(fits)
-    return _of_first_flights(whole, impacts, best, balls) if best else FilmFits(())
+        hopeful = view.residual_rms / view.span < _HOPELESS
+        fit = _finished(whole, rough) if hopeful else rough[0]
+        if best is None or misfit(fit) < 0.7 * misfit(best):
+            best = fit
+        if is_good(fit):
+            return FilmFit(_likelier(fit, with_bends(fit)))
+    if best is not None and misfit(best) < _HOPELESS:
+        bent = with_bends(best)
+        if is_good(bent):
+            return FilmFit(bent)
+    return _of_first_flights(whole, impacts, best) if best else None
 
 
-def _of_first_flights(
-    whole: TrackSamples, impacts: Sequence[int], fits: tuple[FilmFit, ...], balls: Balls
-) -> FilmFits:
-    """The fits to as many flights as one law explains, or those to all if it explains none.
+def _of_first_flights(whole: BounceSamples, impacts: Sequence[int], fit: BounceFit) -> FilmFit:
+    """The fit to as many flights as one law explains, or that to all if it explains none.
 
     A ball that is out of round, or later hits an edge, is a ball up to there.
     """
-    start_s, end_s = fits[0].samples.seconds[[0, -1]]
+    start_s, end_s = fit.samples.seconds[[0, -1]]
     first = int(np.searchsorted(whole.seconds, start_s))
     for flights in range(min(len(impacts), MOST_IMPACTS) - 1, 0, -1):
         end = impacts[flights]
@@ -134,63 +129,72 @@ def _of_first_flights(
             continue
         begun = whole.part(0, end)
         rough = _rough_fits(begun.part(first, end), float(whole.seconds[impacts[0]]))
-        shorter = _finished(begun, rough, balls) if rough else ()
-        if shorter and is_good(shorter, _EXACT) and _is_usual(whole, best_of(shorter)):
-            return FilmFits(shorter, flights)
-    return FilmFits(fits)
+        shorter = _finished(begun, rough) if rough else None
+        if shorter and is_good(shorter, _EXACT) and _is_usual(whole, shorter):
+            return FilmFit(shorter, flights)
+    return FilmFit(fit)
 
 
-def _rough_fits(samples: TrackSamples, impact_s: float) -> list[FilmFit]:
+def _likelier(fit: BounceFit, bent: BounceFit) -> BounceFit:
+    """The fit without bends unless they explain clearly more: any noise is bent a little."""
+    scale = min(fit.scale, bent.scale)
+    factor = max(correlation_time(fit.residuals, len(fit.free)), fit.effective_sample_factor)
+    gained = (fit.misfit_cost(scale) - bent.misfit_cost(scale)) / factor
+    return bent if gained - bent.prior_cost() + fit.prior_cost() > _CLEARLY else fit
+
+
+def with_bends(fit: BounceFit) -> BounceFit:
+    """With a contact that may move through the picture from each impact on."""
+    impacts_s = fit.projection().impacts(float(fit.samples.seconds[-1]))
+    impacts_s = float(fit.unknowns[IMPACT]) + float(np.exp(fit.unknowns[FALL])) * impacts_s
+    samples = replace(fit.samples, bends_s=tuple(impacts_s[:MOST_BENDS].tolist()))
+    return fit_bounce(samples, fit.unknowns, samples.unknowns, most=60)
+
+
+def _rough_fits(samples: BounceSamples, impact_s: float) -> list[BounceFit]:
     """Of the ideal ball from the best points of the grid, best first."""
-    starts = grid_starts(samples.seconds, samples.positions_px, impact_s, _STARTS)
-    fits = [fit_film(samples, start, IDEAL, *_ROUGHLY) for start in starts]
-    scale = min((fit.scale_px for fit in fits), default=1.0)
+    starts = grid_starts(samples.seconds, samples.positions, impact_s, _STARTS)
+    fits = [fit_bounce(samples, start, IDEAL, *_ROUGHLY) for start in starts]
+    scale = min((fit.scale for fit in fits), default=1.0)
     return sorted(fits, key=lambda fit: fit.cost(scale))
 
 
-def _finished(whole: TrackSamples, rough: list[FilmFit], balls: Balls) -> tuple[FilmFit, ...]:
-    """All balls, fitted to the bounces that count and to the ball before it was let go."""
+def _finished(whole: BounceSamples, rough: list[BounceFit]) -> BounceFit:
+    """The fit to the bounces that count and to the ball before it was let go."""
     starts: list[Array] = []
     for start in (fit.unknowns for fit in rough[:3]):  # without those that lead to the same end
         if not any(np.all(np.abs(start - kept)[list(_SHAPE)] < _SAME) for kept in starts):
             starts.append(start)
-    real = best_of([_from_any(rough[0].samples, starts, ball, *_ROUGHLY) for ball in balls])
-    samples = _counting(whole, real)
-    real = _from_any(samples, [real.unknowns], real.free)
-    samples = _with_held(whole, real)
-    if samples is not real.samples:
-        held = fit_film(samples, real.unknowns, real.free)
-        if held.tail_sd_px < 1.5 * max(real.tail_sd_px, whole.noise_px):
-            real = held
-    samples = _sharp(real)
-    ideal = _from_any(samples, [real.unknowns, rough[0].unknowns], IDEAL)
-    starts = [real.unknowns, ideal.unknowns]
-    return (ideal, *(_from_any(samples, starts, ball) for ball in balls))
+    fit = _from_any(rough[0].samples, starts, *_ROUGHLY)
+    samples = _counting(whole, fit)
+    fit = _from_any(samples, [fit.unknowns])
+    samples = with_held(whole, fit)
+    if samples is not fit.samples:
+        held = fit_bounce(samples, fit.unknowns, fit.free)
+        if held.tail_sd < 1.5 * max(fit.tail_sd, whole.noise):
+            fit = held
+    return _from_any(sharp(fit), [fit.unknowns, rough[0].unknowns])
 
 
 def _from_any(
-    samples: TrackSamples,
-    starts: Sequence[Array],
-    free: tuple[int, ...],
-    most: int = 30,
-    gain: float = 1e-6,
-) -> FilmFit:
-    """The best fit from any of the starts, with a usual slope or drag where they have none.
+    samples: BounceSamples, starts: Sequence[Array], most: int = 30, gain: float = 1e-6
+) -> BounceFit:
+    """The best fit from any of the starts, with a usual slope and drag where they have none.
 
     From too steep a law a fit may not find back to a slight one, so a slight one is tried too.
     """
-    fits = []
+    fits: list[BounceFit] = []
     for start in starts:
-        unset = any(law in free and not start[law] for law in _USUAL)
+        unset = not any(start[law] for law in _USUAL)
         for fraction in (1.0, _SLIGHT) if unset else (1.0,):
             begin = start.copy()
             for law, usual in _USUAL.items():
-                begin[law] = (begin[law] or fraction * usual) if law in free else 0.0
-            fits.append(fit_film(samples, begin, free, most, gain))
+                begin[law] = begin[law] or fraction * usual
+            fits.append(fit_bounce(samples, begin, samples.unknowns, most, gain))
     return best_of(fits)
 
 
-def _counting(whole: TrackSamples, fit: FilmFit) -> TrackSamples:
+def _counting(whole: BounceSamples, fit: BounceFit) -> BounceSamples:
     """Without the bounces after the sixth, and without most of a rest."""
     impact_s, fall_s = float(fit.unknowns[IMPACT]), float(np.exp(fit.unknowns[FALL]))
     seconds = fit.samples.seconds
@@ -206,58 +210,24 @@ def _counting(whole: TrackSamples, fit: FilmFit) -> TrackSamples:
     return whole.part(first, last_at) if last_at - first > FEWEST_SAMPLES else fit.samples
 
 
-def _with_held(whole: TrackSamples, fit: FilmFit) -> TrackSamples:
-    """With the samples just before the fall in which the ball is where it is let go."""
-    first = int(np.searchsorted(whole.seconds, fit.samples.seconds[0]))
-    fall_s = float(np.exp(fit.unknowns[FALL]))
-    earliest = float(fit.unknowns[IMPACT]) - 2 * fall_s
-    begin = int(np.searchsorted(whole.seconds, earliest))
-    if first == begin:
-        return fit.samples
-    residuals = whole.part(begin, first).residuals_px(fit.unknowns)
-    held, misses = first, 0
-    while held > begin and misses < 3:  # three in a row that are elsewhere: it is not held yet
-        held -= 1
-        misses = misses + 1 if abs(residuals[held - begin]) > 4 * fit.scale_px else 0
-    held = min(held + misses, first)
-    last = first + len(fit.samples.seconds)
-    return fit.samples if first == held else whole.part(held, last)
+def misfit(fit: BounceFit) -> float:
+    """Residuals, as a fraction of the fall."""
+    return fit.tail_sd / float(fit.unknowns[SPAN])
 
 
-def _sharp(fit: FilmFit) -> TrackSamples:
-    """Without the pictures whose exposure an impact may be in: those show both of its sides."""
-    samples, fall_s = fit.samples, float(np.exp(fit.unknowns[FALL]))
-    times = samples.times(fit.unknowns)
-    impacts, _ = samples.bounce(fit.unknowns).flights(float(times[-1]))
-    after = np.searchsorted(impacts, times, side="right")
-    edges = np.concatenate([[-np.inf], impacts, [np.inf]])
-    apart_s = fall_s * np.minimum(times - edges[after], edges[after + 1] - times)
-    kept = (apart_s > samples.exposure_s / 2) | (times > impacts[-1])
-    if np.count_nonzero(kept) < FEWEST_SAMPLES:
-        return samples
-    return replace(samples, seconds=samples.seconds[kept], positions_px=samples.positions_px[kept])
-
-
-def misfit(fits: Sequence[FilmFit]) -> float:
-    """Residuals of the best ball, as a fraction of the fall."""
-    return min(fit.tail_sd_px / float(fit.unknowns[SPAN]) for fit in fits)
-
-
-def is_good(fits: Sequence[FilmFit], little: float = _LITTLE) -> bool:
+def is_good(fit: BounceFit, little: float = _LITTLE) -> bool:
     """Whether the residuals are noise, or little of the fall."""
-    best = best_of(fits)
-    noise = best.samples.noise_px / float(best.unknowns[SPAN])
-    return misfit(fits) < 1.5 * noise + little
+    return misfit(fit) < 1.5 * fit.samples.noise / float(fit.unknowns[SPAN]) + little
 
 
-def _is_usual(whole: TrackSamples, fit: FilmFit) -> bool:
+def _is_usual(whole: BounceSamples, fit: BounceFit) -> bool:
     """Whether a law is one that balls have, and lets go of the ball where it is seen held.
 
     Few flights are explained by many laws.
     """
     times = whole.times(fit.unknowns)
     held = (times > -_HELD) & (times < -1.0)
-    off = np.median(whole.residuals_px(fit.unknowns)[held]) if np.any(held) else 0.0
+    off = np.median(whole.residuals(fit.unknowns)[held]) if np.any(held) else 0.0
     return abs(fit.unknowns[SLOPE]) < _STEEP and abs(off) < _AT_RELEASE * fit.unknowns[SPAN]
 
 

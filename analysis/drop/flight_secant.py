@@ -35,6 +35,7 @@ class FlightSecant(Estimator):
     """
 
     name = "secant"
+    takes_one_parameter = True
 
     def estimate(self, problem: Problem, rollouts: int) -> Trace:
         """The next place to look at, or the one of least cost; see `Estimator.estimate`."""
@@ -128,10 +129,11 @@ def _duration(observation: Observation) -> float:
     seconds, heights = observation.axis, observation.values[:, 0]
     seen = np.isfinite(heights)
     seconds, heights = seconds[seen], heights[seen]
-    if np.array_equal(observation.axis, canonical_axis()):  # it leaves out the fall, always alike
+    if np.array_equal(observation.axis, canonical_axis()):  # falls are alike, and may be unseen
+        after = seconds > 0
         fall = np.arange(-CANONICAL_PER_FALL, 1) / CANONICAL_PER_FALL
-        seconds = np.concatenate([fall, seconds])
-        heights = np.concatenate([1 - (fall + 1) ** 2, heights])
+        seconds = np.concatenate([fall, seconds[after]])
+        heights = np.concatenate([1 - (fall + 1) ** 2, heights[after]])
     return first_flight_s(seconds, heights)
 
 

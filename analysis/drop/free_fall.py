@@ -50,6 +50,9 @@ _MOST_FALL_TIMES = 40
 _ODD_GRAVITY = 0.2
 """Fraction off standard gravity from which any other drop of the recording is preferred."""
 
+_ROUGH = 0.05
+"""Of a restitution by parabolas: what a short or bent flight may be off."""
+
 _MOST_OUTLIERS = 8
 """More of them are no exception: then it is the recording that is in doubt."""
 
@@ -64,10 +67,13 @@ class Drop(Impact):
         heights_m: heights there [m], shape (T,).
         release_s: when the ball was let go, or would have been for this fall [s].
         release_m: height there [m].
-        drag: how much slower it falls than it flies, (g_flight - g_fall) / g_flight; NaN where too
-            little of the first flight is seen.
-        drag_sd: its standard error; NaN likewise.
+        flight_gravity_m_s2: fitted acceleration of the first flight alone, in which the air adds to
+            gravity on the way up as much as it takes from it on the way down; NaN where too little
+            of it is seen.
+        fall_s: times of the first and the last sample of the fall that is a parabola [s].
+        flight_s: the same of the first flight; twice the impact's where too little is seen.
         noise_m: standard deviation of the samples about a smooth curve [m].
+        rest_s: when the ball begins to rest [s]; NaN where it is not seen to.
         rest_m: height where the ball comes to rest [m]; NaN where it is not seen to.
         rest_tolerance_m: how far from the contact that may be on one table [m].
     """
@@ -77,9 +83,11 @@ class Drop(Impact):
     heights_m: Array
     release_s: float
     release_m: float
-    drag: float
-    drag_sd: float
+    flight_gravity_m_s2: float
+    fall_s: tuple[float, float]
+    flight_s: tuple[float, float]
     noise_m: float
+    rest_s: float
     rest_m: float
     rest_tolerance_m: float
 
@@ -125,7 +133,8 @@ def find_drops(seconds: Array, heights_m: Array) -> list[Drop]:
         except NotFoundError as reason:
             reasons.append(str(reason))
             continue
-        if abs(drop.gravity_m_s2 / GRAVITY_M_S2 - 1) < _ODD_GRAVITY:
+        later = [at for at in impacts if seconds[at] > drop.impact_s + drop.fall_time_s / 4]
+        if _is_free(drop, float(seconds[later[0]]) if later else drop.impact_s):
             drops.append(drop)
             end = drop_end
         else:  # a hand may lower a ball along a parabola too
@@ -213,6 +222,8 @@ def _fit_drop(
     flight = flight_samples(clock, heights, index, parabola, noise)
     if len(flight):
         impact = meet(clock, heights, fall, flight, noise)
+        if impact.flight_restitution < -_ROUGH - 3 * impact.flight_restitution_sd:
+            raise NotFoundError("the ball falls on: it hits nothing there")
     else:
         near = heights[index - 1 : index + 4]
         impact = falling_to(float(near.min()), parabola, level_sd_m=float(np.ptp(near)))
@@ -241,8 +252,7 @@ def _fit_drop(
     if len(rest):
         last_s = min(last_s, clock[rest[0]] + _MARGIN_S)
     last = min(end, int(np.searchsorted(clock, last_s)))
-    fall_gravity, fall_sd = gravity_of(clock, heights, fall, noise)
-    flight_gravity, flight_sd = gravity_of(clock, heights, flight, noise)
+    ends = [seconds[index] + impact.impact_s] * 2 if not len(flight) else seconds[flight[[0, -1]]]
     drop = Drop(
         first=first,
         seconds=seconds[first:last],
@@ -255,13 +265,28 @@ def _fit_drop(
         flight_restitution=impact.flight_restitution,
         flight_restitution_sd=impact.flight_restitution_sd,
         gravity_m_s2=impact.gravity_m_s2,
-        drag=1 - fall_gravity / flight_gravity,
-        drag_sd=float(np.hypot(fall_sd, flight_sd)) / abs(flight_gravity),
+        flight_gravity_m_s2=gravity_of(clock, heights, flight, noise),
+        fall_s=(float(seconds[fall[0]]), float(seconds[fall[-1]])),
+        flight_s=(float(ends[0]), float(ends[1])),
         noise_m=noise,
+        rest_s=float(seconds[rest[0]]) if len(rest) else float("nan"),
         rest_m=level_m,
         rest_tolerance_m=tolerance_m,
     )
     return drop, end
+
+
+def _is_free(drop: Drop, next_s: float) -> bool:
+    """Whether it falls, or flies, with about the gravity of the earth.
+
+    Args:
+        drop: of which the air may slow the fall by far more than the flight.
+        next_s: when the next fast fall ends.
+    """
+    inner = np.flatnonzero((drop.seconds > drop.impact_s) & (drop.seconds < next_s))[1:-1]
+    between = gravity_of(drop.seconds, drop.heights_m, inner, drop.noise_m)
+    seen = (drop.gravity_m_s2, drop.flight_gravity_m_s2, between)
+    return any(abs(one / GRAVITY_M_S2 - 1) < _ODD_GRAVITY for one in seen)
 
 
 def _has_rebound(since: Array, heights: Array, impact: Impact, noise: float) -> bool:

@@ -5,24 +5,21 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
 from analysis.checks import Check, CrossCheck
-from analysis.drop.checks import fit_check, recording_checks, sure_check
-from analysis.drop.detection import DISAGREEMENT, FilmDetection, drop_problem
-from analysis.drop.film_checks import film_checks, hop_check, scale_checks
+from analysis.drop.checks import motion_checks, recording_checks, sure_check
+from analysis.drop.cross_checks import flight_cross_check
+from analysis.drop.detection import FilmDetection, drop_problem
+from analysis.drop.film_checks import film_checks, hop_check, scale_checks, seconds_out_of_view
 from analysis.drop.film_presets import PRESETS
-from analysis.drop.film_restitution import film_rebounds, film_value, flight_ratio
+from analysis.drop.motion import simulation_fit, tuned_motion
 from analysis.drop.presets import PAPER_HEIGHT_M
-from analysis.drop.record_parts import reported_rebounds, tuned_curves
-from analysis.estimators.base import FitResult, Observation, Problem, Step
+from analysis.drop.rebounds import reported_rebounds
+from analysis.estimators.base import FitResult, Step
 from analysis.experiment import Claim
 from analysis.selection import Hints, Selection
 from analysis.tracking.pictures import Pictures
 from analysis.tracking.track import Track, track_ball
 from recorders.simulators.balls import completed, contradict, recorded_ball
-from recorders.simulators.drop import RESTITUTION
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, EpisodeInfo
 from tunenet_logs.errors import NotFoundError
@@ -33,20 +30,11 @@ if TYPE_CHECKING:
 
     from analysis.record import Tuning
 
-_AGREEMENT = 0.03
-"""Of the restitution: what a track's systematic errors take off the cross-check of a good film."""
-
-_FIT = 0.015
-"""Rms [drop heights] that the simulated first flight may be off the fitted one."""
-
 _MOST_GAP_FALLS = 0.4
 """Fall times without a sample: an impact may hide in a longer gap, even of few pictures."""
 
 _UNSURE = 0.1
 """Half width of an interval from which on nothing is reported."""
-
-_LEAST_COMPARED = 0.5
-"""Fall times of the simulated flight that are compared with the film's, at least."""
 
 
 class DropFromFilm:
@@ -55,9 +43,9 @@ class DropFromFilm:
     name = "drop-video"
     kind = "drop"
     occasion = "drop"
-    parameters = (RESTITUTION,)
     presets = PRESETS
-    curves = staticmethod(tuned_curves)
+    problem = staticmethod(drop_problem)
+    motion = staticmethod(tuned_motion)
     rebounds = staticmethod(reported_rebounds)
 
     def claim(self, episode: Episode, topic: str | None) -> Claim:
@@ -83,62 +71,52 @@ class DropFromFilm:
                 return detection
         raise NotFoundError("; ".join(reasons))
 
-    def problem(self, detection: FilmDetection, initial: Array) -> Problem:
-        """See `Experiment.problem`."""
-
-        def exact_fit(start: Array) -> FitResult:
-            """The bounce in closed form through a projective camera."""
-            value = film_value(detection.film, float(start[0]))
-            interval95 = np.array([value.interval95])
-            rebounds = film_rebounds(value)
-            return FitResult(np.array([value.restitution]), interval95, detail=rebounds)
-
-        return drop_problem(detection, initial, exact_fit)
-
     def checks(
         self, detection: FilmDetection, last: Step, fit: FitResult | None
     ) -> tuple[Check, ...]:
         """See `Experiment.checks`."""
         assert last.evaluation is not None
         film, drop = detection.film, detection.drop
-        fitted = drop.seconds >= film.best.samples.seconds[0]
+        fitted = drop.seconds >= film.fit.samples.seconds[0]
         part = replace(drop, seconds=drop.seconds[fitted], heights_m=drop.heights_m[fitted])
-        checks = recording_checks(part, detection.sideways_m[fitted], _MOST_GAP_FALLS)
-        checks.append(
+        excused_s = seconds_out_of_view(film)
+        excused_s = excused_s[(excused_s > part.seconds[0]) & (excused_s < part.seconds[-1])]
+        impacts_s = (
+            film.projection.impact_s
+            + film.projection.fall_time_s * (film.projection.impacts(float(drop.seconds[-1]))[:2])
+        )  # how far it goes after the second one does not touch the first
+        sideways_m = detection.sideways_m[fitted]
+        if len(impacts_s) > 1:
+            sideways_m = sideways_m[part.seconds <= impacts_s[1]]
+        checks = [
             Check(
                 "pictures as they were recorded",
                 not detection.unread,
                 detection.unread or "all of them can be read",
                 advice="tune the file as it was before it was damaged",
-            )
-        )
-        checks += film_checks(film)
+            ),
+            *film_checks(film),
+            *recording_checks(part, sideways_m, _MOST_GAP_FALLS, excused_s),
+        ]
         checks += scale_checks(film, detection.ball.diameter_m, detection.height_m)
         if not detection.physical:  # z and y are not to be compared
             return (*checks, _paper_check(drop.drop_height_m))
         value = float(last.values[0])
         sure = fit and sure_check(*fit.interval95[0], reject=_UNSURE)
         checks.append(sure or hop_check(film, value))
-        first = detection.target.axis < max(2 * value, _LEAST_COMPARED)
-        most = _FIT + 2 * film.projection.residual_rms_px / film.projection.span_px
-        simulated = _only(last.evaluation.observation, first)
-        return (*checks, fit_check(simulated, _only(detection.target, first), 1.0, most))
+        return (*checks, *motion_checks(simulation_fit(detection, last)))
 
     def cross_check(self, detection: FilmDetection, estimate: Array) -> CrossCheck | None:
-        """How much shorter the second flight is than the first, which no projection changes."""
-        ratio = flight_ratio(detection.film.best) if detection.physical else None
-        if ratio is None:
-            return None
-        agrees = abs(ratio.value - ratio.fitted) < _AGREEMENT + 3 * ratio.sd
-        # What they tell is the second impact's; the first one's is as much off, at any slope.
-        value = float(estimate[0]) * ratio.value / ratio.fitted
-        method = "durations of the first two flights"
-        return CrossCheck(method, value, bool(agrees), DISAGREEMENT)
+        """See `flight_cross_check`."""
+        return flight_cross_check(detection, estimate)
 
-    def review(self, stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
+    def review(self, stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container | None:
         """See `Experiment.review`."""
+        from analysis.drop.review.refused import log_refused
         from analysis.drop.review.views import log_drop
 
+        if tuning.detection is None:
+            return log_refused(stream, tuning)
         return log_drop(stream, tuning)
 
 
@@ -175,17 +153,11 @@ def _detect_in(
         start_ns=pictures.start_ns,
         track=track,
         ball=completed(selection.ball, recorded),
-        fit_drag=selection.fit_drag,
         height_m=episode.info.rig.get("drop_height_m"),
         unread=unread,
         taken_ns=pictures.arrivals.taken_ns,
         track_warnings=tuple(warnings),
     )
-
-
-def _only(observation: Observation, chosen: NDArray[np.bool_]) -> Observation:
-    """A part of an observation."""
-    return replace(observation, values=observation.values[chosen], axis=observation.axis[chosen])
 
 
 def _tracked(pictures: Pictures, hints: Hints, info: EpisodeInfo) -> tuple[Track, list[str]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -11,22 +10,25 @@ from numpy.typing import NDArray
 
 from analysis.checks import Check, CrossCheck
 from analysis.drop import observations as views
-from analysis.drop.bounce_fit import fit_bounce
 from analysis.drop.checks import (
     fall_checks,
     fit_check,
+    motion_checks,
     rebound_check,
     recording_checks,
     sure_check,
 )
-from analysis.drop.detection import DISAGREEMENT, TOO_SHORT, DropDetection, drop_problem
+from analysis.drop.cross_checks import flight_cross_check
+from analysis.drop.detection import DropDetection, drop_problem
 from analysis.drop.free_fall import Drop, find_drops, outliers
+from analysis.drop.motion import simulation_fit, tuned_motion
 from analysis.drop.presets import PAPER_HEIGHT_M, PRESETS
-from analysis.drop.record_parts import reported_rebounds, tuned_curves
-from analysis.estimators.base import FitResult, Observation, Problem, Step
+from analysis.drop.rebounds import reported_rebounds
+from analysis.estimators.base import FitResult, Step
 from analysis.experiment import Claim
 from analysis.selection import Selection, check_start
-from recorders.simulators.drop import RESTITUTION, TOPIC
+from recorders.simulators.balls import Ball, completed, recorded_ball
+from recorders.simulators.drop import TOPIC
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, Signal
 from tunenet_logs.errors import NotFoundError
@@ -44,18 +46,9 @@ _AXES = {"+z": (2, 1), "-z": (2, -1), "+y": (1, 1), "-y": (1, -1), "+x": (0, 1),
 
 _POSITION = ("x", "y", "z")
 
-_AGREEMENT = 0.02
-"""Of the restitution: what drag and slope take off the cross-check of a good drop."""
-
-_FIT, _PAPER_FIT = 0.008, 0.03
-"""Rms [drop heights] that the tuned curve may be off: ours, and the paper's 60 Hz simulator."""
-
-_REJECT, _REJECT_FITTED = 0.1, 0.15
-"""Likewise, from where on nothing is reported. A fitted value allows for the air, which the
-simulator that it is compared in has not."""
-
-_NOISE_SHARE = 1.2
-"""Of the noise that adds to these limits: what white noise alone hardly exceeds."""
+_PAPER_FIT, _NOISE_SHARE = 0.03, 1.2
+"""Rms [drop heights] that the paper's 60 Hz simulator may be off, and how much of the noise adds
+to it: what white noise alone hardly exceeds."""
 
 _FARTHEST_M = 1e6
 """A coordinate beyond it is a marker for "none"."""
@@ -67,9 +60,9 @@ class DropFromPositions:
     name = "drop"
     kind = "drop"
     occasion = "drop"
-    parameters = (RESTITUTION,)
     presets = PRESETS
-    curves = staticmethod(tuned_curves)
+    problem = staticmethod(drop_problem)
+    motion = staticmethod(tuned_motion)
     rebounds = staticmethod(reported_rebounds)
 
     def claim(self, episode: Episode, topic: str | None) -> Claim:
@@ -87,65 +80,50 @@ class DropFromPositions:
         unused: list[str] = []
         if selection.arm_options:
             unused.append(f"{', '.join(selection.arm_options)} not used: this is a drop")
-        if selection.ball_options:  # nobody should think that they had an effect
+        if selection.film_options:  # nobody should think that they had an effect
             topics = episode.picture_topics
             there = (
                 f"to use its pictures: --topic {topics[0]}" if topics else "it holds no pictures"
             )
-            named = ", ".join(selection.ball_options)
+            named = ", ".join(selection.film_options)
             unused.append(f"{named} not used: the log holds the ball's position ({there})")
         for signal in _candidates(episode, selection):
             try:
                 check_start(selection.start_s, float(signal.seconds[-1]))
                 arrivals = correct_late_stamps(signal.stamps_ns)
                 even = replace(signal, stamps_ns=arrivals.stamps_ns)
-                detection = _detect_in(even, int(signal.stamps_ns[0]), selection, preset)
+                ball = completed(selection.ball, recorded_ball(episode.info))
+                detection = _detect_in(even, int(signal.stamps_ns[0]), selection, preset, ball)
                 late = arrivals.warnings("samples")
                 return replace(detection, warnings=(*detection.warnings, *late, *unused))
             except NotFoundError as reason:
                 reasons.append(f"{signal.name}: {reason}")
         raise NotFoundError("; ".join((reasons[0], *unused)))
 
-    def problem(self, detection: DropDetection, initial: Array) -> Problem:
-        """See `Experiment.problem`."""
-
-        def exact_fit(start: Array) -> FitResult | None:
-            """The bounce in closed form, fitted to all samples."""
-            fit = fit_bounce(detection.drop, float(start[0]))
-            if fit is None:
-                return None
-            return FitResult(np.array([fit.restitution]), np.array([fit.interval95]), detail=())
-
-        return drop_problem(detection, initial, exact_fit)
-
     def checks(
         self, detection: DropDetection, last: Step, fit: FitResult | None
     ) -> tuple[Check, ...]:
         """See `Experiment.checks`."""
         assert last.evaluation is not None
-        drop, physical = detection.drop, detection.physical
+        drop = detection.drop
         checks = recording_checks(drop, detection.sideways_m)
-        if physical:  # the paper's simulator has a drag of its own
-            value = float(last.values[0])
-            checks += fall_checks(drop, value)
-            checks.append(sure_check(*fit.interval95[0]) if fit else rebound_check(drop, value))
-        scale = 1.0 if physical else drop.drop_height_m
-        most = (_FIT if physical else _PAPER_FIT) + _NOISE_SHARE * drop.noise_m / drop.drop_height_m
-        reject = _REJECT_FITTED if fit else _REJECT
-        simulated = last.evaluation.observation
-        return (*checks, fit_check(simulated, detection.target, scale, most, reject))
+        if not detection.physical:  # the paper's simulator has a drag of its own
+            most = _PAPER_FIT + _NOISE_SHARE * drop.noise_m / drop.drop_height_m
+            simulated = last.evaluation.observation
+            return (*checks, fit_check(simulated, detection.target, drop.drop_height_m, most))
+        value = float(last.values[0])
+        checks += fall_checks(drop, value)
+        checks.append(sure_check(*fit.interval95[0]) if fit else rebound_check(drop, value))
+        return (*checks, *motion_checks(simulation_fit(detection, last)))
 
     def cross_check(self, detection: DropDetection, estimate: Array) -> CrossCheck | None:
-        """The speeds just after and just before the impact, by the parabolas on either side."""
-        value = detection.drop.flight_restitution
-        if np.isnan(value) or not detection.physical:
-            return None
-        margin = _AGREEMENT + 3 * detection.drop.flight_restitution_sd
-        agrees = bool(abs(value - estimate[0]) < margin)
-        return CrossCheck("speeds at the first impact", value, agrees, DISAGREEMENT)
+        """See `flight_cross_check`."""
+        return flight_cross_check(detection, estimate)
 
-    def review(self, stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
+    def review(self, stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container | None:
         """See `Experiment.review`."""
+        if tuning.detection is None:
+            return None
         from analysis.drop.review.views import log_drop
 
         return log_drop(stream, tuning)
@@ -173,7 +151,9 @@ def _is_position(signal: Signal) -> bool:
     return signal.columns == _POSITION and signal.unit == "m"
 
 
-def _detect_in(signal: Signal, start_ns: int, selection: Selection, preset: str) -> DropDetection:
+def _detect_in(
+    signal: Signal, start_ns: int, selection: Selection, preset: str, ball: Ball
+) -> DropDetection:
     """The first drop in the selected part, without the samples that hold no position."""
     seconds = signal.seconds
     keep: NDArray[np.bool_] = np.all(np.abs(signal.values) < _FARTHEST_M, axis=1)  # NaN is not
@@ -184,24 +164,24 @@ def _detect_in(signal: Signal, start_ns: int, selection: Selection, preset: str)
     signal = replace(signal, stamps_ns=signal.stamps_ns[keep], values=signal.values[keep])
     if not len(signal.stamps_ns):
         raise NotFoundError("no sample with a position (in the part that was selected)")
-    up, signal, drops = _vertical_drops(signal, start_ns)
+    up, kept, drops = _vertical_drops(signal, start_ns)
     column, _ = _AXES[up]
     drop = drops[0]
     window = slice(drop.first, drop.first + len(drop.seconds))
-    target = _VIEWS[preset](drop)
     warnings = [] if up == "+z" else [f"up is {up} in {signal.name}"]
     if len(drops) > 1:
         spans = ", ".join(f"{one.seconds[0]:.2f} to {one.seconds[-1]:.2f} s" for one in drops)
         warnings.append(f"{len(drops)} drops ({spans}); the first is used (see --start, --end)")
     if not PRESETS[preset].physical:
-        warnings += _paper_warnings(drop, target)
+        warnings += _paper_warnings(drop)
     return DropDetection(
         physical=PRESETS[preset].physical,
         topic=signal.name,
-        drop=drop,
         start_ns=start_ns,
-        sideways_m=np.delete(signal.values, column, axis=1)[window],
-        target=target,
+        found=drop,
+        outliers=_between(signal, drop, start_ns) - len(drop.seconds),
+        sideways_m=np.delete(kept.values, column, axis=1)[window],
+        ball=ball,
         warnings=tuple(warnings),
     )
 
@@ -224,9 +204,14 @@ def _vertical_drops(signal: Signal, start_ns: int) -> tuple[str, Signal, list[Dr
     raise first_reason or NotFoundError("the ball does not move")
 
 
-def _paper_warnings(drop: Drop, target: Observation) -> list[str]:
-    if np.isnan(target.values).any():
-        raise NotFoundError(TOO_SHORT)
+def _between(signal: Signal, drop: Drop, start_ns: int) -> int:
+    """How many samples a drop would have with those that were left out."""
+    seconds = (signal.stamps_ns - start_ns).astype(np.float64) * 1e-9
+    first_s, last_s = drop.seconds[[0, -1]]
+    return int(np.count_nonzero((seconds >= first_s) & (seconds <= last_s)))
+
+
+def _paper_warnings(drop: Drop) -> list[str]:
     height = drop.release_m - drop.table_m + views.PAPER_RADIUS_M
     low, high = PAPER_HEIGHT_M
     if low - 0.1 <= height <= high + 0.1:
@@ -235,10 +220,3 @@ def _paper_warnings(drop: Drop, target: Observation) -> list[str]:
         f"a drop from {height:.2f} m (ball of 0.5 m radius) is outside the {low:g} to {high:g} m "
         "that the paper's network was trained on"
     ]
-
-
-_VIEWS: dict[str, Callable[[Drop], Observation]] = {
-    "default": views.canonical,
-    "paper": views.paper_heights,
-    "paper-code": views.paper_heights,
-}

@@ -121,8 +121,8 @@ def falling_to(level_m: float, fall: Array, level_sd_m: float = 0.0) -> ImpactFi
     )
 
 
-def gravity_of(clock: Array, heights: Array, indices: Indices, noise: float) -> tuple[float, float]:
-    """Acceleration of some samples of free flight and its standard error [m/s²]; NaN below 4.
+def gravity_of(clock: Array, heights: Array, indices: Indices, noise: float) -> float:
+    """Acceleration of some samples of free flight [m/s²]; NaN where they do not fix it.
 
     Args:
         clock: times [s], shape (T,).
@@ -130,13 +130,13 @@ def gravity_of(clock: Array, heights: Array, indices: Indices, noise: float) -> 
         indices: of the samples to fit.
         noise: standard deviation of a height [m].
     """
-    if len(indices) < 4:
-        return float("nan"), float("nan")
+    if len(indices) < _FEWEST:
+        return float("nan")
     times = clock[indices] - clock[indices].mean()
     design = np.column_stack([np.ones_like(times), times, times**2])
     solution, *_ = np.linalg.lstsq(design, heights[indices], rcond=None)
-    variance = noise**2 * np.linalg.pinv(design.T @ design)[2, 2]
-    return float(-2 * solution[2]), float(2 * np.sqrt(max(variance, 0.0)))
+    sd = 2 * noise * np.sqrt(max(np.linalg.pinv(design.T @ design)[2, 2], 0.0))
+    return float(-2 * solution[2]) if sd < _SURE_GRAVITY else float("nan")
 
 
 def _crossing(coefficients: NDArray[Any]) -> Array:
@@ -149,11 +149,21 @@ def _crossing(coefficients: NDArray[Any]) -> Array:
     return np.array([impact, height, speed, after / speed])
 
 
+_FEWEST, _SURE_GRAVITY = 4, 0.5
+"""Samples that fix an acceleration, and its standard error [m/s²] beyond which it is not fixed."""
+
+_PARABOLA, _FASTER = 6, 1.8
+"""Samples of a flight from which on its own curvature is known, and how much more than the fall's
+that may be."""
+
 MIN_DROP_M = 0.02
 """A lower fall lasts 64 ms: a camera of 60 Hz sees it in four pictures."""
 
 _FALL_FRACTIONS = (0.95, 0.8, 0.6, 0.4, 0.25)
 """Lower parts of a descent that are tried as its free fall, the largest first."""
+
+_SHORTEST_FALL = 4
+"""Samples of a fall: one more than its parabola has coefficients."""
 
 _REST_WINDOW_S = 0.25
 """Longer than the top of a bounce stays within the tolerance of a rest."""
@@ -178,7 +188,7 @@ def fall_samples(
         noise: standard deviation of a height [m].
 
     Returns:
-        Their indices, at least 5, and the least-squares parabola, highest power first, shape (3,).
+        Their indices, at least 4, and the least-squares parabola, highest power first, shape (3,).
 
     Raises:
         NotFoundError: nothing before the impact is a free fall.
@@ -195,7 +205,7 @@ def fall_samples(
         high = np.flatnonzero(heights[first : index - 1] > low + fraction * depth)
         begin = first + (int(high[-1]) + 1 if len(high) else 0)
         fall = np.arange(begin, index - 1)
-        if len(fall) < 5:
+        if len(fall) < _SHORTEST_FALL:
             continue
         parabola = np.polyfit(clock[fall], heights[fall], 2)
         residuals = heights[fall] - np.polyval(parabola, clock[fall])
@@ -263,7 +273,11 @@ def flight_samples(clock: Array, heights: Array, index: int, fall: Array, noise:
         if stop > len(clock):
             return False
         times = clock[begin:stop]
-        straight = heights[begin:stop] - fall[0] * times**2
+        curve = fall[0]
+        if stop - begin > _PARABOLA:  # the air slows a fall more than a flight
+            free = float(np.polyfit(times - times.mean(), heights[begin:stop], 2)[0])
+            curve = float(np.clip(free, _FASTER * fall[0], fall[0]))
+        straight = heights[begin:stop] - curve * times**2
         off = straight - np.polyval(np.polyfit(times, straight, 1), times)
         return bool(np.abs(off).max() < tolerance)
 

@@ -1,8 +1,9 @@
 """A drop as an observation: in fall times and drop heights, or as the paper has it.
 
-With s = (t - t_impact) / T0 (T0 the fall time) and u the height above contact in drop heights, a
-bounce without drag is one curve that depends on the restitution alone: drop height, gravity, ball,
-table and sampling rate drop out. So one network serves every rig.
+With s = (t - t_impact) / T0 (T0 the time of the fall without air) and u the height above contact in
+drop heights, a bounce is one curve that depends on the ball alone: on its restitution, on how that
+falls with speed, and on the air's drag times the drop height. Drop height, gravity, table and
+sampling rate drop out. So one network serves every rig.
 """
 
 from __future__ import annotations
@@ -11,14 +12,17 @@ import numpy as np
 
 from analysis.drop.free_fall import Drop
 from analysis.estimators.base import Observation, resample
+from recorders.simulators.closed_form.flight import lands_after_s
 from recorders.simulators.contact import ContactSettings
-from recorders.simulators.drop import TOPIC, DropRig
+from recorders.simulators.drop import DRAG, TOPIC, DropRig
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
 
 CANONICAL_PER_FALL = 32
+CANONICAL_BEFORE = 28
 CANONICAL_SPAN = 4
-"""The canonical grid: points in each fall time, and fall times after the first impact."""
+"""The canonical grid: points in each fall time, how many of them are before the first impact, and
+fall times after it. The first moments of a fall are left out: a hand may still be there."""
 
 PAPER_RATE_HZ = 60.0
 PAPER_SAMPLES = 400
@@ -30,8 +34,15 @@ _PAPER_UNIT_M = 5.0
 
 
 def canonical_axis() -> Array:
-    """Points of the canonical grid [fall times after the first impact], shape (128,)."""
-    return np.arange(1, CANONICAL_SPAN * CANONICAL_PER_FALL + 1) / CANONICAL_PER_FALL
+    """Points of the canonical grid [fall times after the first impact], shape (156,)."""
+    last = CANONICAL_SPAN * CANONICAL_PER_FALL
+    return np.setdiff1d(np.arange(-CANONICAL_BEFORE, last + 1), [0]) / CANONICAL_PER_FALL
+
+
+def canonical_observation(values: Array) -> Observation:
+    """Heights [drop heights] on the canonical grid, shape (156,)."""
+    axis = canonical_axis()
+    return Observation(values[:, None], axis, "time after impact [fall times]", ("[drop heights]",))
 
 
 def canonical(drop: Drop) -> Observation:
@@ -45,29 +56,31 @@ def canonical(drop: Drop) -> Observation:
     values = _between_impacts(times, heights, axis)
     if not np.isnan(drop.rest_m):
         values[axis > times[-1]] = (drop.rest_m - drop.contact_m) / drop.drop_height_m
-    return Observation(values[:, None], axis, "time after impact [fall times]", ("[drop heights]",))
+    return canonical_observation(values)
 
 
 def rollout_drop(episode: Episode, rig: DropRig, contact: ContactSettings) -> Drop:
     """The drop of a simulated episode, whose rig and release are known exactly."""
-    signal = episode.signals[TOPIC]
-    speed = float(np.sqrt(2 * contact.gravity_m_s2 * rig.gap_m))
-    heights = signal.values[:, 2]
+    signal, gravity = episode.signals[TOPIC], contact.gravity_m_s2
+    drag_1_m = episode.info.truth.get(DRAG.name, 0.0)  # of a rollout: what it was told
+    impact_s = rig.hold_s + lands_after_s(rig.gap_m, 0.0, gravity, drag_1_m)
     return Drop(
         first=0,
         seconds=(signal.stamps_ns - rig.start_ns).astype(np.float64) * 1e-9,
-        heights_m=heights,
+        heights_m=signal.values[:, 2],
         release_s=rig.hold_s,
         release_m=rig.radius_m + rig.gap_m,
-        impact_s=rig.hold_s + speed / contact.gravity_m_s2,
+        impact_s=impact_s,
         contact_m=rig.radius_m,
-        impact_speed_m_s=speed,
+        impact_speed_m_s=float(np.sqrt(2 * gravity * rig.gap_m)),
         flight_restitution=float("nan"),
         flight_restitution_sd=float("nan"),
-        gravity_m_s2=contact.gravity_m_s2,
-        drag=0.0,
-        drag_sd=0.0,
+        gravity_m_s2=gravity,
+        flight_gravity_m_s2=gravity,
+        fall_s=(rig.hold_s, impact_s),
+        flight_s=(impact_s, impact_s),
         noise_m=0.0,
+        rest_s=float("nan"),
         rest_m=rig.radius_m,
         rest_tolerance_m=0.0,
     )

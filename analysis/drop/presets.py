@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 
@@ -11,17 +11,17 @@ import numpy as np
 from analysis.drop import observations as views
 from analysis.experiment import Training, presets_of
 from analysis.tunenet.checkpoint import Purpose
-from analysis.tunenet.network import AntisymmetricNetwork, PaperNetwork
+from analysis.tunenet.network import PaperNetwork, WideNetwork
 from analysis.tunenet.pairs import PairSet, consecutive_pairs, mixed_pairs, observe_all
 from analysis.tunenet.training import Recipe
 from recorders.simulators.base import BallWorld, engine
 from recorders.simulators.contact import CALIBRATED, PAPER, ContactSettings
-from recorders.simulators.drop import RESTITUTION, DropRig, DropSimulator
+from recorders.simulators.drop import DRAG, REAL_BALL, RESTITUTION, SLOPE, DropRig, DropSimulator
 from tunenet_logs.arrays import Array
 from tunenet_logs.terminal import Progress
 
-Plan = tuple[DropRig, ContactSettings, float]
-"""A rollout to make: rig, settings, restitution."""
+Plan = tuple[DropRig, ContactSettings, Mapping[str, float]]
+"""A rollout to make: rig, settings, values."""
 
 PAPER_HEIGHT_M = (4.0, 5.0)
 """Of the ball's centre, in the paper's training data."""
@@ -34,7 +34,10 @@ _GAP_M = (0.3, 5.0)
 _RATES_HZ = (60.0, 120.0, 240.0)
 """Drops to train for. The observation leaves both out: they only vary how it is sampled."""
 
-_ROLLOUTS, _PAIRS = 2048, 51_200
+_MOST_DRAG = 0.5
+"""Drag times drop height, of balls to train for: more than a table-tennis ball's from 3 m."""
+
+_ROLLOUTS, _PAIRS = 4096, 204_800
 """Rollouts, and pairs that are drawn among them: a pair costs nothing more."""
 
 
@@ -49,9 +52,9 @@ def _observe_plans(plans: Sequence[Plan]) -> Array:
     curves: list[Array] = []
     rig, contact, _ = plans[0]
     simulator = DropSimulator(rig, contact, _world(rig.radius_m, contact))
-    for rig, contact, restitution in plans:
+    for rig, contact, values in plans:
         simulator = simulator.with_rig(rig)
-        episode = simulator.rollout({RESTITUTION.name: restitution})
+        episode = simulator.rollout(values)
         if contact == PAPER:
             curves.append(views.paper_rollout(episode).values)
         else:
@@ -72,7 +75,11 @@ def observe_paper_drops(
     """
     radius = views.PAPER_RADIUS_M
     plans = [
-        (DropRig(float(height) - radius, radius, views.PAPER_RATE_HZ), PAPER, float(value))
+        (
+            DropRig(float(height) - radius, radius, views.PAPER_RATE_HZ),
+            PAPER,
+            {RESTITUTION.name: float(value)},
+        )
         for height, value in zip(releases_m, restitutions, strict=True)
     ]
     return observe_all(_observe_plans, plans, jobs, progress)
@@ -89,22 +96,25 @@ def _paper_pairs(count: int | None, seed: int, jobs: int | None, progress: Progr
 
 
 def _canonical_pairs(count: int | None, seed: int, jobs: int | None, progress: Progress) -> PairSet:
-    """Restitutions evenly over their range; any rig will do, so heights and rates vary."""
+    """Real balls, evenly over their ranges; any rig will do, so heights and rates vary."""
     count = count or _PAIRS
     rollouts = min(_ROLLOUTS, 2 * count)
     rng = np.random.default_rng(seed)
-    low, high = RESTITUTION.training_range
-    values = low + (high - low) * (np.arange(rollouts) + rng.random(rollouts)) / rollouts
+    ranges = np.array([one.training_range for one in (RESTITUTION, SLOPE)] + [(0.0, _MOST_DRAG)])
+    shares = (np.arange(rollouts) + rng.random((3, rollouts))) / rollouts
+    shares = np.array([rng.permutation(share) for share in shares])
+    values = (ranges[:, :1] + np.ptp(ranges, axis=1)[:, None] * shares).T
     gaps = rng.uniform(*_GAP_M, rollouts)
     rates = rng.choice(_RATES_HZ, rollouts)
-    plans = []
-    for gap, rate, value in zip(gaps, rates, values, strict=True):
+    plans: list[Plan] = []
+    for gap, rate, (restitution, slope, drag) in zip(gaps, rates, values.tolist(), strict=True):
         fall_s = np.sqrt(2 * gap / CALIBRATED.gravity_m_s2)
-        samples = int(np.ceil((views.CANONICAL_SPAN + 1) * fall_s * rate)) + 3
+        samples = int(np.ceil((views.CANONICAL_SPAN + 1 + drag) * fall_s * rate)) + 3
         rig = DropRig(float(gap), rate_hz=float(rate), samples=samples, hold_s=rng.random() / rate)
-        plans.append((rig, CALIBRATED, float(value)))
+        ball = {RESTITUTION.name: restitution, SLOPE.name: slope, DRAG.name: drag / float(gap)}
+        plans.append((rig, CALIBRATED, ball))
     observations = observe_all(_observe_plans, plans, jobs, progress)
-    return PairSet(observations, values[:, None], *mixed_pairs(values, count, rng))
+    return PairSet(observations, values, *mixed_pairs(values, count, rng))
 
 
 def _paper_training(name: str, recipe: Recipe) -> Training:
@@ -134,13 +144,14 @@ _OURS = Training(
     Purpose(
         task="drop",
         preset="default",
-        observation="height after impact, 32 places a fall time, 4 fall times",
+        observation="height [drop heights] about the first impact, 32 places a fall time, from 28 "
+        "places before it to 4 fall times after; restitution, slope, drag times drop height",
         inputs=len(views.canonical_axis()),
-        outputs=1,
+        outputs=3,
         rates_hz=_RATES_HZ,
     ),
-    AntisymmetricNetwork(),
-    replace(OUR_TRAINING, noise=0.01),  # films bring a noise of their own
+    WideNetwork(),
+    replace(OUR_TRAINING, noise=0.004, epochs=30, scaling="ranges", cut_share=0.3),
     _canonical_pairs,
 )
 
@@ -174,4 +185,4 @@ TRAININGS = {
     "paper-code": _paper_training("paper-code", PAPERS_CODE),
 }
 
-PRESETS = presets_of(TRAININGS)
+PRESETS = presets_of(TRAININGS, REAL_BALL, (RESTITUTION,))

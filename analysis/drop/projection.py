@@ -41,34 +41,43 @@ class Projection:
     """Where heights are in the picture, and what the ball does.
 
     Attributes:
-        contact_px: A, along the image's vertical, up positive.
-        span_px: B.
+        contact: A, along the image's vertical, up positive.
+        span: B.
         perspective: k.
+        bends: from when on [s] A moves by how much a second, each on top of the others: a ball that
+            goes sideways comes nearer to the camera or goes away from it, otherwise after each
+            bounce.
         impact_s: the first impact [s].
         fall_time_s: T0, without air [s].
         bounce: the ball.
-        residual_rms_px: root mean square of the track's residuals.
-        residual_max_px: the largest of them.
+        residual_rms: root mean square of the track's residuals.
+        residual_max: the largest of them.
     """
 
-    contact_px: float
-    span_px: float
+    contact: float
+    span: float
     perspective: float
     impact_s: float
     fall_time_s: float
     bounce: Bounce
-    residual_rms_px: float
-    residual_max_px: float
+    residual_rms: float
+    residual_max: float
+    bends: tuple[tuple[float, float], ...] = ()
 
-    def heights(self, positions_px: Array) -> Array:
-        """Heights [drop heights] of positions along the image's vertical, shape (T,)."""
-        fraction = (positions_px - self.contact_px) / self.span_px
+    def contacts(self, seconds: Array) -> Array:
+        """Where contact is at these times, shape (T,)."""
+        moved = [rate * np.maximum(seconds - since_s, 0.0) for since_s, rate in self.bends]
+        return self.contact + np.sum([np.zeros(len(seconds)), *moved], axis=0)
+
+    def heights(self, positions: Array, seconds: Array) -> Array:
+        """Heights [drop heights] of positions along the vertical at these times, shape (T,)."""
+        fraction = (positions - self.contacts(seconds)) / self.span
         grow = np.exp(self.perspective)
         return fraction / np.maximum(grow - (grow - 1) * fraction, _NEAREST)
 
-    def positions_px(self, heights: Array) -> Array:
-        """Positions along the image's vertical of heights [drop heights], shape (T,)."""
-        return self.contact_px + self.span_px * projected(heights, self.perspective)
+    def positions(self, heights: Array, seconds: Array) -> Array:
+        """Positions along the vertical of heights [drop heights] at these times, shape (T,)."""
+        return self.contacts(seconds) + self.span * projected(heights, self.perspective)
 
     def fall_times(self, seconds: Array) -> Array:
         """Times [fall times after the first impact] of times [s], shape (T,)."""

@@ -106,7 +106,10 @@ class Problem:
         target: o_T, what is to be matched.
         simulator: f, set up like the target's rig.
         observe: z_P, what an observer sees of a rollout; comparable with `target`.
-        initial: the P values that the estimation starts from.
+        initial: the P values that the estimation starts from, of the simulator's first P
+            parameters; the others stay as the simulator has them.
+        residual_units: one unit of a network's answer in each parameter's unit, shape (P,); all 1
+            if None.
         exact_fit: from P starting values to the parameters that explain every sample best, without
             rollouts; it returns None where the log shows too little. None where no such fit exists.
 
@@ -121,17 +124,19 @@ class Problem:
         observe: Callable[[Episode], Observation],
         initial: Array,
         exact_fit: Callable[[Array], FitResult | None] | None = None,
+        residual_units: Array | None = None,
     ) -> None:
         self.target = target
         self.simulator = simulator
-        self.parameters: tuple[Parameter, ...] = simulator.parameters
+        self.parameters: tuple[Parameter, ...] = simulator.parameters[: len(initial)]
         """What is to be found."""
         self.rollouts = 0
         """Simulator runs so far: every method pays for each."""
         self.exact_fit = exact_fit
         if len(initial) != len(self.parameters):
-            names = ", ".join(parameter.name for parameter in self.parameters)
+            names = ", ".join(parameter.name for parameter in simulator.parameters)
             raise UsageError(f"{len(initial)} initial values for {names}; give one for each")
+        self.residual_units = np.ones(len(initial)) if residual_units is None else residual_units
         self.initial = np.array(
             [
                 parameter.checked(value)
@@ -221,6 +226,9 @@ class Estimator(ABC):
 
     The others start from the middle of the parameters' ranges.
     """
+
+    takes_one_parameter: ClassVar[bool] = False
+    """Whether it finds the first parameter alone; the others then stay at their first guess."""
 
     @classmethod
     def build(cls, setup: Setup) -> Estimator:  # noqa: ARG003 (most methods need nothing)

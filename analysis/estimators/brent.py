@@ -16,6 +16,7 @@ class Brent(Estimator):
     """
 
     name = "brent"
+    takes_one_parameter = True
 
     def estimate(self, problem: Problem, rollouts: int) -> Trace:
         """The best place so far; see `Estimator.estimate`."""

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from analysis.estimators.base import Estimator, Problem, Setup, Step, Trace
 from analysis.estimators.search import Search, check_one_parameter
+from analysis.estimators.tunenet import residual_of
 from analysis.statistics import noise_of
 from analysis.tunenet.network import Model
 from tunenet_logs.arrays import Array
@@ -74,6 +75,7 @@ class RolloutLine(Estimator):
     """
 
     name = "line"
+    takes_one_parameter = True
 
     def __init__(self, model: Model | None = None) -> None:
         self._model = model
@@ -92,7 +94,9 @@ class RolloutLine(Estimator):
             steps[-1] = Step(values, steps[-1].rollouts, evaluation)
             if self._model and k < network_steps:
                 simulated, target = evaluation.observation.values, problem.target.values
-                values = problem.clamp(values + self._model(simulated[None], target[None])[0])
+                values = problem.clamp(
+                    values + residual_of(self._model, problem, simulated, target)
+                )
             else:
                 line = _next(visited, line, problem)
                 values = problem.clamp(np.array([line.value if line else _best(visited)[0]]))

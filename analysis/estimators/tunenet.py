@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from analysis.estimators.base import Estimator, Problem, Setup, Step, Trace
 from analysis.tunenet.network import Model
+from tunenet_logs.arrays import Array
 from tunenet_logs.errors import NotFoundError
 
 
@@ -36,8 +37,7 @@ class TuneNet(Estimator):
             evaluation = problem.evaluate(values)
             steps.append(Step(values, spent, evaluation))
             simulated, target = evaluation.observation.values, problem.target.values
-            residual = self._model(simulated[None], target[None])[0]
-            values = problem.clamp(values + residual)
+            values = problem.clamp(values + residual_of(self._model, problem, simulated, target))
         steps.append(Step(values, problem.rollouts))
         return Trace(tuple(steps))
 
@@ -64,6 +64,12 @@ class TuneNetThenFit(TuneNet):
         """All rollouts are the network's; see `Estimator.estimate`."""
         trace = fitted(super().estimate(problem, rollouts), problem)
         return trace if trace.fit is not None else replace(trace, method=TuneNet.name)
+
+
+def residual_of(model: Model, problem: Problem, simulated: Array, target: Array) -> Array:
+    """What the network adds to the parameters, shape (P,), of two observations of shape (L, C)."""
+    found = model(simulated[None], target[None])[0]
+    return found[: len(problem.parameters)] * problem.residual_units
 
 
 def fitted(trace: Trace, problem: Problem) -> Trace:

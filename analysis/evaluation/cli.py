@@ -10,10 +10,12 @@ from pathlib import Path
 from analysis.cli.options import jobs_option
 from analysis.evaluation.printing import (
     EXPERIMENTS,
+    FULL_REAL,
     FULL_SHOT,
     FULL_VIDEO,
     METHODS,
     PAYLOAD_SECTIONS,
+    REAL_SECTIONS,
     SECTIONS,
     SHOT_SECTIONS,
 )
@@ -33,6 +35,8 @@ anew for each seed, and print its figures beside the paper's.
   intervals  how often the 95 % intervals of recorded drops contain the truth; part of drop
   video      restitution from tracks of filmed drops, good and bad ones: errors, intervals,
              verdicts
+  real-balls  balls in air whose restitution falls with speed, as positions and as films: each
+             parameter, its interval, and whether the tuned simulator moves like the ball
   bounce-shot  drop, record, tune, plan, shoot, in a hidden world with air, spin, balls out of
              round and drops that leave the table: the paper's policy and ours
 
@@ -47,6 +51,7 @@ _EXAMPLES = """\
   tunenet-eval motion --json motion.json
   tunenet-eval payload --sections logs
   tunenet-eval video --targets 20 --sections set-B,bad
+  tunenet-eval real-balls --seeds 1 --targets 40     (a few minutes)
   tunenet-eval bounce-shot --seeds 1 --targets 12    (a few minutes)
   tunenet-eval bounce-shot --seeds 1 --campaign shots   (keeps logs, tunings, outcomes)"""
 
@@ -60,7 +65,14 @@ _FILES = ("json", "csv", "png", "rrd")
 """Options that name a file to write, in that order."""
 
 _ONLY_DROP = ("methods", "rollouts", "png", "rrd")
-_TARGETS = {"video": FULL_VIDEO, "payload": 300, "bounce-shot": FULL_SHOT}
+_TARGETS = {
+    "video": FULL_VIDEO,
+    "payload": 300,
+    "real-balls": FULL_REAL,
+    "bounce-shot": FULL_SHOT,
+}
+_WITH_SECTIONS = ("video", "payload", "real-balls", "bounce-shot")
+_WITH_SECTIONS_IN_WORDS = f"{', '.join(_WITH_SECTIONS[:-1])} and {_WITH_SECTIONS[-1]}"
 _SEEDS = {"payload": 5}
 _DEFAULT_SEEDS = 3
 _DEFAULT_TARGETS = 100
@@ -89,8 +101,8 @@ def build_parser() -> Parser:
         "--targets",
         type=whole(1, 100_000),
         metavar="N",
-        help="test targets for each seed and set (default: 100; video: 200; payload: 300, and two "
-        "thirds as many logs in all; bounce-shot: 60 trials a campaign)",
+        help="test targets for each seed and set (default: 100; video, real-balls: 200; payload: "
+        "300, and two thirds as many logs in all; bounce-shot: 60 trials a campaign)",
     )
     jobs_option(parser, "processes")
     _options_of_some(parser)
@@ -125,12 +137,13 @@ def _options_of_some(parser: Parser) -> None:
         "--rrd", type=Path, metavar="FILE", help="the figure for Rerun, with the tables"
     )
     parts = parser.add_argument_group(
-        "video, payload and bounce-shot only",
+        f"{_WITH_SECTIONS_IN_WORDS} only",
         "\n".join(
             f"tables of {name}: {', '.join(sections)}"
             for name, sections in (
                 ("video", SECTIONS),
                 ("payload", PAYLOAD_SECTIONS),
+                ("real-balls", REAL_SECTIONS),
                 ("bounce-shot", SHOT_SECTIONS),
             )
         ),
@@ -176,8 +189,8 @@ def _check_options(arguments: argparse.Namespace) -> None:
         for name in _ONLY_DROP:
             if getattr(arguments, name) is not None:
                 raise UsageError(f"--{name} is for drop, not {what}; leave it out")
-    if what not in ("video", "payload", "bounce-shot") and arguments.sections is not None:
-        others = "video, payload and bounce-shot"
+    if what not in _WITH_SECTIONS and arguments.sections is not None:
+        others = _WITH_SECTIONS_IN_WORDS
         raise UsageError(f"--sections is for {others}, not {what}; leave it out")
     folder = arguments.campaign
     if folder is not None and what != "bounce-shot":

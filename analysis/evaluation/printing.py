@@ -27,6 +27,12 @@ SECTIONS = ("set-A", "set-B", "set-C", "slope", "drag", "bad", "clips", "transfo
 SHOT_SECTIONS = ("campaigns", "drops")
 """Policies in the hidden world, and verdicts on its drops."""
 
+REAL_SECTIONS = ("positions", "balls", "films")
+"""Those of `real_balls.run`."""
+
+FULL_REAL = 200
+"""Drops of a cell for each seed; fewer make fewer of the table's balls in proportion."""
+
 FULL_SHOT = 60
 """Trials of a campaign; fewer make fewer drops in proportion."""
 
@@ -236,6 +242,39 @@ def _video(
     }
 
 
+def _real_balls(
+    arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
+) -> tuple[Iterable[str], Writers]:
+    """Balls in air, as positions and as films."""
+    from analysis.evaluation.real_balls.figures import RealLine
+    from analysis.evaluation.real_balls.records import real_csv, real_json
+    from analysis.evaluation.real_balls.run import (
+        RealOrder,
+        ball_lines,
+        film_lines,
+        position_lines,
+    )
+    from analysis.evaluation.real_balls.tables import protocol, section_blocks
+
+    wanted = _sections(arguments, REAL_SECTIONS)
+    order = RealOrder(seeds, arguments.targets, arguments.jobs)
+    lines: list[RealLine] = []
+
+    def blocks() -> Iterator[str]:
+        yield protocol(order)
+        runs = zip(REAL_SECTIONS, (position_lines, ball_lines, film_lines), strict=True)
+        for section, run in runs:
+            if section in wanted:
+                found = run(order, progress)
+                lines.extend(found)
+                yield from section_blocks(section, found)
+
+    return blocks(), {
+        "json": lambda path: _write(path, real_json(lines, order)),
+        "csv": lambda path: _write(path, real_csv(lines)),
+    }
+
+
 def _sections(arguments: argparse.Namespace, available: Sequence[str]) -> Sequence[str]:
     wanted = _named(arguments, "sections", available) or available
     for name in wanted:
@@ -276,5 +315,6 @@ EXPERIMENTS: dict[str, Experiment] = {
     "motion": _motion,
     "intervals": _intervals,
     "video": _video,
+    "real-balls": _real_balls,
     "bounce-shot": _bounce_shot,
 }

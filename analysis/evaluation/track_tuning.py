@@ -20,6 +20,5 @@ def tune_track(track: Track, options: Options) -> Tuning:
         start_ns=int(track.stamps_ns[0]),
         track=track,
         ball=selection.ball,
-        fit_drag=selection.fit_drag,
     )
     return tune_detected(experiment, lambda: detection, options, Stopwatch())

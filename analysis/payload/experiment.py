@@ -17,10 +17,9 @@ from analysis.payload.checks import arm_checks, payload_checks, simulation_check
 from analysis.payload.detection import EFFORT, PayloadDetection, read_tare
 from analysis.payload.presets import PRESETS
 from analysis.payload.torque_fit import secant
-from analysis.record import Curves, Rebound
+from analysis.record import Motion, Rebound
 from analysis.selection import Selection
 from recorders.simulators.arm.description import jaco, read_arm
-from recorders.simulators.arm.payload import PAYLOAD_MASS
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
 
@@ -47,7 +46,6 @@ class PayloadExperiment:
     name = "payload"
     kind = "payload"
     occasion = "run"
-    parameters = (PAYLOAD_MASS,)
     presets: Mapping[str, Preset] = PRESETS
 
     def claim(self, episode: Episode, topic: str | None) -> Claim:
@@ -145,17 +143,19 @@ class PayloadExperiment:
         agrees = bool(abs(mass_kg - estimate[0]) < margin_kg)
         return CrossCheck("secant through two rollouts", mass_kg, agrees, advice)
 
-    def curves(self, detection: PayloadDetection, last: Step) -> Curves | None:
-        """None: torques of seven joints are the review's; see `Experiment.curves`."""
-        del detection, last
+    def motion(self, detection: PayloadDetection, trace: Trace) -> Motion | None:
+        """None: torques of seven joints are the review's; see `Experiment.motion`."""
+        del detection, trace
 
     def rebounds(self, detection: PayloadDetection, trace: Trace) -> tuple[Rebound, ...]:
         """None; see `Experiment.rebounds`."""
         del detection, trace
         return ()
 
-    def review(self, stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
+    def review(self, stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container | None:
         """See `Experiment.review`."""
+        if tuning.detection is None:
+            return None
         from analysis.payload.review.views import log_payload
 
         return log_payload(stream, tuning)

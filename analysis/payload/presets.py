@@ -24,6 +24,7 @@ from recorders.simulators.arm.path import (
     circle_at,
     random_path,
 )
+from recorders.simulators.arm.payload import PAYLOAD_MASS
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import NotFoundError
 from tunenet_logs.terminal import Progress
@@ -241,4 +242,4 @@ TRAININGS = {
     "paper-code": _paper_training("paper-code", "z-score"),
 }
 
-PRESETS = presets_of(TRAININGS)
+PRESETS = presets_of(TRAININGS, (PAYLOAD_MASS,), (PAYLOAD_MASS,))

@@ -1,19 +1,26 @@
-"""What a tuning knows of a ball: its restitution at any speed, with a standard deviation."""
+"""What a tuning knows of a ball: its restitution at any speed and the air's drag, and how surely.
+
+Restitution, slope and drag are those that were tuned. Of a tuning that holds no slope, the law is
+fitted to its bounces.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from analysis.drop.bounce_fit import SLOPE_SD
+from analysis.drop.bounce_model import SLOPE_SD
 from analysis.record import Interval, Record
 from analysis.record_json import read_record
 from analysis.statistics import TWO_SIDED
+from recorders.simulators.balls import BALLS, contradict
 from recorders.simulators.drop import RESTITUTION
-from recorders.simulators.shot.speed_law import SpeedLaw
+from recorders.simulators.shot.rig import ShotBall
+from recorders.simulators.speed_law import SpeedLaw
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import LogError, NotFoundError
 from tunenet_logs.terminal import one_line
@@ -27,6 +34,21 @@ _NO_SPEED_SD = SLOPE_SD * math.log(2)
 _LEAST_SD = 0.002
 """Of any restitution: so that no bounce with a tiny interval outweighs all others."""
 
+_DRAG_SD_1_M = 0.02
+"""Assumed of a drag without an interval, where half of it is not more: what a usual ball has."""
+
+_SAME_DRAG = 0.2
+"""Fraction of a drag by which that of size and mass may be off: no ball is a smooth sphere."""
+
+SLOPE, DRAG = "restitution_slope", "drag"
+"""The names of a tuning's estimates."""
+
+_MOST_DRAG_1_M = 10.0
+"""No ball that falls has more."""
+
+SlopeSource = Literal["tuned", "bounces", "told", "assumed"]
+"""Where a slope comes from: the tuning, its bounces, the user, nowhere (it is 0)."""
+
 _FASTEST_M_S = 1e4
 """Of an impact; nothing that people drop is faster."""
 
@@ -38,14 +60,27 @@ class KnownBall:
     Attributes:
         law: the most likely one.
         covariance: of the logarithm of its restitution and of its slope, shape (2, 2).
-        bounces: how many were fitted.
+        bounces: how many were seen.
         remarks: what a user should know, in words.
+        slope_source: where the law's slope comes from.
+        drag_1_m: deceleration by the air over speed squared; None where only the rig's ball tells.
+        drag_sd_1_m: its standard deviation; 0 where it is taken as told.
+        name: of the ball, as it was recorded.
     """
 
     law: SpeedLaw
     covariance: Array
     bounces: int = 0
     remarks: tuple[str, ...] = ()
+    slope_source: SlopeSource = "told"
+    drag_1_m: float | None = None
+    drag_sd_1_m: float = 0.0
+    name: str = ""
+
+    @property
+    def slope_sd(self) -> float:
+        """Standard deviation of the law's slope."""
+        return math.sqrt(self.covariance[1, 1])
 
     def sd_at(self, speed_m_s: float) -> float:
         """Standard deviation of the restitution at an impact of this speed."""
@@ -54,18 +89,25 @@ class KnownBall:
         return restitution * math.sqrt(row @ self.covariance @ row)
 
 
-def told_ball(restitution: float, slope: float = 0.0, sd: float = TOLD_SD) -> KnownBall:
+def told_ball(
+    restitution: float,
+    slope: float = 0.0,
+    sd: float = TOLD_SD,
+    drag_1_m: float | None = None,
+) -> KnownBall:
     """A ball whose restitution the user gives.
 
     Args:
         restitution: at 3 m/s where there is a slope, else at the shot's own impact.
         slope: how it falls with speed; see `SpeedLaw`.
         sd: of the restitution.
+        drag_1_m: of the air; that of the rig's ball if None.
 
     Raises:
         UsageError: no ball has it.
     """
-    return KnownBall(SpeedLaw(restitution, slope), _covariance(restitution, sd))
+    covariance = _covariance(restitution, sd)
+    return KnownBall(SpeedLaw(restitution, slope), covariance, drag_1_m=drag_1_m)
 
 
 def read_tuning(path: Path) -> KnownBall:
@@ -87,41 +129,115 @@ def read_tuning(path: Path) -> KnownBall:
             "ball that bounced"
         )
     try:
-        value, sd = _value_and_sd(record)
-        seen = [
-            (speed, *_checked(bounce.restitution, bounce.interval95))
-            for bounce in record.rebounds
-            if (speed := _checked_speed(bounce.impact_speed_m_s)) is not None
-        ]
+        ball = _ball_of(record)
     except ValueError as error:
         raise LogError(f"{path}: {error}; tune the log again") from error
-    remarks = []
     if record.verdict == "suspect":
-        remarks.append(f"the tuning is suspect ({one_line(record.reason)})")
+        doubt = f"the tuning is suspect ({one_line(record.reason)})"
+        ball = replace(ball, remarks=(doubt, *ball.remarks))
+    return ball
+
+
+def contradiction(ball: KnownBall, rig_ball: ShotBall, *, is_told: bool) -> str | None:
+    """What of the rig's ball is not as that of the tuning, in words; None where nothing is.
+
+    Args:
+        ball: of the tuning.
+        rig_ball: of the rig.
+        is_told: whether the user gave the rig; what nobody told can contradict in size only.
+    """
+    named = BALLS.get(ball.name)
+    if named is not None and contradict(rig_ball.body, named):
+        return (
+            f"the rig's ball is of {rig_ball.body.words}, that of the tuning a {ball.name} ball of "
+            f"{named.words}: correct the rig"
+        )
+    if ball.drag_1_m is None or not is_told:
+        return None
+    off_1_m = abs(rig_ball.air_drag_1_m - ball.drag_1_m)
+    if off_1_m <= max(_SAME_DRAG * ball.drag_1_m, TWO_SIDED * ball.drag_sd_1_m):
+        return None
+    return (
+        f"by the rig's ball the drag is {rig_ball.air_drag_1_m:.3g} /m, tuned is "
+        f"{ball.drag_1_m:.3g} ± {ball.drag_sd_1_m:.2g} /m: the tuned one counts"
+    )
+
+
+def _ball_of(record: Record) -> KnownBall:
+    """By what was tuned; of a record without a slope, by its bounces.
+
+    Raises:
+        ValueError: it holds a value that no ball has.
+    """
+    value, sd = _value_and_sd(record)
+    seen = [
+        (speed, *_checked(bounce.restitution, bounce.interval95))
+        for bounce in record.rebounds
+        if (speed := _checked_speed(bounce.impact_speed_m_s)) is not None
+    ]
+    slope = _tuned(record, SLOPE, -1.0, 1.0) if record.physical else None
     if not seen:
-        remarks.append(
-            "the tuning knows no impact speeds: the restitution is taken as the same at all speeds"
-        )
-        covariance = _covariance(value, sd, _NO_SPEED_SD)
-        return KnownBall(SpeedLaw(value), covariance, 0, tuple(remarks))
-    if len(seen) == 1:
-        remarks.append(
-            "the tuning does not show how the restitution falls with speed: it is taken as the same"
-        )
-    return _fitted(np.array(seen, dtype=float), tuple(remarks))
+        ball = _of_no_speed(value, sd)
+    elif slope is not None:
+        law = SpeedLaw(value, slope.value, seen[0][0])
+        covariance = _covariance(value, sd, slope_sd=SLOPE_SD if slope.sd is None else slope.sd)
+        ball = KnownBall(law, covariance, len(seen), slope_source="tuned")
+    else:
+        ball = _fitted(np.array(seen, dtype=float))
+    drag = _tuned(record, DRAG, 0.0, _MOST_DRAG_1_M) if record.physical else None
+    if drag is not None:
+        sd_1_m = max(drag.value / 2, _DRAG_SD_1_M) if drag.sd is None else drag.sd
+        ball = replace(ball, drag_1_m=drag.value, drag_sd_1_m=sd_1_m)
+    return replace(ball, name=record.ball or "")
 
 
-def _covariance(value: float, sd: float, more: float = 0.0) -> Array:
-    """Of a law of one restitution, shape (2, 2); `more` is the logarithm's sd for other reasons."""
-    return np.diag([(max(sd, _LEAST_SD) / max(value, TOLD_SD)) ** 2 + more**2, 0.0])
+class _Tuned(NamedTuple):
+    """A quantity and its standard deviation, None without an interval."""
+
+    value: float
+    sd: float | None
 
 
-def _fitted(seen: Array, remarks: tuple[str, ...]) -> KnownBall:
+def _tuned(record: Record, name: str, low: float, high: float) -> _Tuned | None:
+    """A number of a record, None where it has none.
+
+    Raises:
+        ValueError: it is not from `low` to `high`.
+    """
+    known = record.estimate(name)
+    if known is None or not isinstance(known.value, float):
+        return None
+    if not low <= known.value <= high:
+        raise ValueError(f"{name} {known.value:g} is not a number from {low:g} to {high:g}")
+    if known.interval95 is None:
+        return _Tuned(known.value, None)
+    below, above = known.interval95
+    return _Tuned(known.value, abs(above - below) / 2 / TWO_SIDED)  # pyright: ignore[reportOperatorIssue] (one number has one interval)
+
+
+def _of_no_speed(value: float, sd: float) -> KnownBall:
+    """A ball of which it is not known at which speed it bounced."""
+    return KnownBall(
+        SpeedLaw(value),
+        _covariance(value, sd, more=_NO_SPEED_SD),
+        remarks=(
+            "the tuning knows no impact speeds: the restitution is taken as the same at all speeds",
+        ),
+        slope_source="assumed",
+    )
+
+
+def _covariance(value: float, sd: float, slope_sd: float = 0.0, more: float = 0.0) -> Array:
+    """Of a law, shape (2, 2); `more` is the restitution's logarithm's sd for other reasons."""
+    level = (max(sd, _LEAST_SD) / max(value, TOLD_SD)) ** 2
+    return np.diag([level + more**2, slope_sd**2])
+
+
+def _fitted(seen: Array) -> KnownBall:
     """The law ln e = a - p ln(v / v_1) by Bayesian linear regression, with the prior p ~ N(0, 0.1).
 
     Args:
         seen: speed [m/s], restitution and its standard deviation of each bounce, shape (N, 3).
-        remarks: of the ball.
     """
     speeds, values, sds = seen.T
     sds = np.maximum(sds, _LEAST_SD)
@@ -135,7 +251,12 @@ def _fitted(seen: Array, remarks: tuple[str, ...]) -> KnownBall:
     covariance = np.linalg.inv(precision)
     level, slope = covariance @ (rows.T @ (weights * np.log(values)))
     law = SpeedLaw(min(math.exp(level), 1.0), float(np.clip(slope, -1.0, 1.0)), at)
-    return KnownBall(law, covariance, len(speeds), remarks)
+    if len(seen) > 1:
+        return KnownBall(law, covariance, len(speeds), slope_source="bounces")
+    remark = (
+        "the tuning does not show how the restitution falls with speed: it is taken as the same"
+    )
+    return KnownBall(law, covariance, 1, (remark,), "assumed")
 
 
 def _value_and_sd(record: Record) -> tuple[float, float]:

@@ -2,19 +2,26 @@
 
 As the paper does, heights are sampled evenly over what the robot reaches. Of those from which the
 ball passes the rim without touching it, the best is not simply the one that passes nearest to the
-centre: it is the one that may be farthest off, in restitution and in height, each in units of how
-well it is known.
+centre: it is the one that may be farthest off, in restitution, in height and in the air's drag,
+each in units of how well it is known.
 """
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass
 
 import numpy as np
 
 from analysis.planning.known_ball import KnownBall
-from analysis.planning.tolerance import Range, height_ends, restitution_ends, signed_gap_m
+from analysis.planning.tolerance import (
+    Range,
+    drag_ends,
+    height_ends,
+    restitution_ends,
+    signed_gap_m,
+)
 from recorders.simulators.bounce_shot import passes, shoot
 from recorders.simulators.shot.flight import Flights
 from recorders.simulators.shot.rig import ShotRig
@@ -28,6 +35,9 @@ _ENOUGH_SDS = 30.0
 
 _MOST_JUDGED = 40
 """Heights whose margins are searched, those nearest to the centre: each costs many rollouts."""
+
+_LEAST_DRAG_SD_1_M = 1e-5
+"""Likewise of a drag."""
 
 _LEAST_HEIGHT_SD_M = 1e-4
 """No robot lets go more precisely; keeps the margin finite where the rig gives 0."""
@@ -47,7 +57,8 @@ class BestShot:
         restitution_sd: its standard deviation.
         restitutions: least and greatest with which the ball passes without touching the rim.
         heights_m: least and greatest height from which it does.
-        margin: to the nearest of these four ends, in standard deviations.
+        drags_1_m: least and greatest drag with which it does; None where it is taken as told.
+        margin: to the nearest of these ends, in standard deviations.
     """
 
     index: int
@@ -59,6 +70,7 @@ class BestShot:
     restitution_sd: float
     restitutions: Range
     heights_m: Range
+    drags_1_m: Range | None
     margin: float
 
 
@@ -67,7 +79,7 @@ class Plan:
     """The heights that were tried, and the best.
 
     Attributes:
-        rig: plane, hoop and reach.
+        rig: plane, hoop and reach; its ball has the drag that was tuned, where one was.
         ball: as it is known.
         heights_m: that were tried, ascending, shape (N,).
         offset_m: where each would pass the hoop's plane, forward and left of its centre; NaN for
@@ -117,15 +129,26 @@ class Plan:
         elif best.margin < 2:
             found.append(
                 f"restitution {best.restitution:.3f} ± {best.restitution_sd:.3f} and a height kept "
-                f"to {1000 * reach.height_sd_m:.1f} mm leave {best.margin:.1f} standard deviations "
-                "to the rim: drop the ball again for a surer restitution, or widen the hoop"
+                f"to {1000 * reach.height_sd_m:.1f} mm{self._drag_words} leave {best.margin:.1f} "
+                "standard deviations to the rim: drop the ball again for a surer restitution, or "
+                "widen the hoop"
             )
         return tuple(found)
 
+    @property
+    def _drag_words(self) -> str:
+        drag, sd = self.ball.drag_1_m, self.ball.drag_sd_1_m
+        return f" and a drag of {drag:.3g} ± {sd:.2g} /m" if drag is not None and sd else ""
+
 
 def plan_shot(rig: ShotRig, ball: KnownBall, shots: int = SHOTS) -> Plan:
-    """Try `shots` heights, 2 or more, evenly over the reach, and choose the best."""
+    """Try `shots` heights, 2 or more, evenly over the reach, and choose the best.
+
+    A drag that is known of the ball replaces that of the rig's ball.
+    """
     start = time.perf_counter()
+    if ball.drag_1_m is not None:
+        rig = rig.with_drag(ball.drag_1_m)
     heights = np.linspace(rig.release.lowest_m, rig.release.highest_m, shots)
     tried = passes(rig, ball.law, heights, np.zeros(shots))
     best = _best(rig, ball, heights, tried)
@@ -158,20 +181,25 @@ def _best(rig: ShotRig, ball: KnownBall, heights: Array, tried: Flights) -> Best
     if len(candidates) > _MOST_JUDGED:
         candidates = candidates[np.argsort(misses[candidates])[:_MOST_JUDGED]]
     values = ball.law.at(tried.impact_m_s[candidates])
+    drags: list[Range | None] = [None] * len(candidates)
+    if ball.drag_sd_1_m:
+        drags = [*drag_ends(rig, ball, heights[candidates])]
     judged = []
-    for index, restitution, shifts, ends in zip(
+    for index, restitution, shifts, ends, drag in zip(
         candidates.tolist(),
         values.tolist(),
         restitution_ends(rig, ball, heights[candidates], values),
         height_ends(rig, ball, heights, gaps, candidates),
+        drags,
         strict=True,
     ):
         height, speed = float(heights[index]), float(tried.impact_m_s[index])
         sd = ball.sd_at(speed)
         room_m = min(height - ends[0], ends[1] - height)
-        margin = min(
+        margins = (
             min(-shifts[0], shifts[1]) / sd,
             room_m / max(rig.release.height_sd_m, _LEAST_HEIGHT_SD_M),
+            _drag_margin(ball, drag),
         )
         judged.append(
             BestShot(
@@ -187,7 +215,17 @@ def _best(rig: ShotRig, ball: KnownBall, heights: Array, tried: Flights) -> Best
                     min(restitution + shifts[1], 1.0),
                 ),
                 heights_m=ends,
-                margin=float(margin),
+                drags_1_m=drag,
+                margin=float(min(margins)),
             )
         )
     return max(judged, key=lambda shot: (min(shot.margin, _ENOUGH_SDS), -shot.miss_m))
+
+
+def _drag_margin(ball: KnownBall, drags_1_m: Range | None) -> float:
+    """To the nearer end, in standard deviations; no ball has less drag than none."""
+    if drags_1_m is None or ball.drag_1_m is None:
+        return math.inf
+    low, high = drags_1_m
+    room_1_m = min(ball.drag_1_m - low if low > 0 else math.inf, high - ball.drag_1_m)
+    return room_1_m / max(ball.drag_sd_1_m, _LEAST_DRAG_SD_1_M)

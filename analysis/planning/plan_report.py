@@ -4,10 +4,19 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
+from analysis.planning.known_ball import KnownBall, SlopeSource
 from analysis.planning.plan import BestShot, Plan
+
+_SLOPE_SOURCES: Mapping[SlopeSource, str] = {
+    "tuned": "tuned",
+    "bounces": "fitted to the tuning's bounces",
+    "told": "as told",
+    "assumed": "not known, taken as none",
+}
 
 _EVERY = 10
 """Of the heights that do not score, every tenth is in the table: all would fill a screen."""
@@ -42,6 +51,11 @@ def plan_json(plan: Plan) -> str:
             "slope": plan.ball.law.slope,
             "at_speed": plan.ball.law.at_m_s,
             "bounces": plan.ball.bounces,
+            "slope_sd": plan.ball.slope_sd,
+            "slope_from": plan.ball.slope_source,
+            "drag": plan.rig.ball.air_drag_1_m,
+            "drag_sd": plan.ball.drag_sd_1_m,
+            "drag_from": drag_source(plan.ball),
         },
         "best": None if best is None else _best(best),
         "warnings": list(plan.warnings),
@@ -60,7 +74,11 @@ def _best(best: BestShot) -> dict[str, Any]:
         "impact_speed": best.impact_m_s,
         "restitution": best.restitution,
         "restitution_sd": best.restitution_sd,
-        "tolerance": {"restitution": list(best.restitutions), "height": list(best.heights_m)},
+        "tolerance": {
+            "restitution": list(best.restitutions),
+            "height": list(best.heights_m),
+            "drag": best.drags_1_m and list(best.drags_1_m),
+        },
         "margin_sd": best.margin,
     }
 
@@ -78,7 +96,7 @@ def plan_table(plan: Plan) -> str:
                 f"{height:8.4f} m  {_miss(float(plan.miss_m[index])):>8}  {room:>10}  "
                 f"{outcome_words(plan, index)}{mark}"
             )
-    return "\n".join([*lines, "", *best_lines(plan)])
+    return "\n".join([*lines, "", *best_lines(plan), *ball_lines(plan)])
 
 
 def best_lines(plan: Plan) -> list[str]:
@@ -86,6 +104,9 @@ def best_lines(plan: Plan) -> list[str]:
     best = plan.best
     if best is None:
         return ["no height scores"]
+    drags = ""
+    if best.drags_1_m is not None:
+        drags = f", or a drag from {best.drags_1_m[0]:.3f} to {best.drags_1_m[1]:.3f} /m"
     below, above = (1000 * abs(end - best.height_m) for end in best.heights_m)
     return [
         f"best: let go {best.height_m:.4f} m above the touch; passes {1000 * best.miss_m:.1f} mm "
@@ -93,8 +114,41 @@ def best_lines(plan: Plan) -> list[str]:
         f"restitution {best.restitution:.4f} ± {best.restitution_sd:.4f} at its impact of "
         f"{best.impact_m_s:.2f} m/s along the plane's normal",
         f"still passes with a restitution from {best.restitutions[0]:.4f} to "
-        f"{best.restitutions[1]:.4f}, or {below:.0f} mm lower to {above:.0f} mm higher",
+        f"{best.restitutions[1]:.4f}, or {below:.0f} mm lower to {above:.0f} mm higher{drags}",
     ]
+
+
+def ball_lines(plan: Plan) -> list[str]:
+    """How the ball's restitution falls with speed and the air slows it, and who says so."""
+    ball, law = plan.ball, plan.ball.law
+    slope_sd = f" ± {ball.slope_sd:.3f}" if ball.slope_sd else ""
+    drag_sd = f" ± {ball.drag_sd_1_m:.4f}" if ball.drag_sd_1_m else ""
+    at = (
+        ""
+        if ball.slope_source in ("assumed", "told") and not law.slope
+        else (f" of {law.restitution:.4f} at {law.at_m_s:.2f} m/s")
+    )
+    return [
+        f"slope {law.slope:.3f}{slope_sd}{at} ({_SLOPE_SOURCES[ball.slope_source]})",
+        f"drag {plan.rig.ball.air_drag_1_m:.4f}{drag_sd} /m ({drag_words(plan)})",
+    ]
+
+
+def drag_words(plan: Plan) -> str:
+    """Where the drag of a plan comes from, in words."""
+    ball = plan.rig.ball
+    if drag_source(plan.ball) != "rig":
+        return drag_source(plan.ball)
+    if ball.drag_1_m is not None:
+        return "the rig's"
+    return "no air" if ball.mass_kg is None else f"the rig's ball: {ball.body.words}"
+
+
+def drag_source(ball: KnownBall) -> str:
+    """Where the drag comes from: the tuning, the user, the rig's ball."""
+    if ball.drag_1_m is None:
+        return "rig"
+    return "told" if ball.slope_source == "told" else "tuned"
 
 
 def outcome_words(plan: Plan, index: int) -> str:

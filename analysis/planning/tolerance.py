@@ -1,7 +1,8 @@
 """How far off a shot may be and the ball still passes.
 
 Heights and restitutions are tried on a grid around a shot, which is widened until the ball does not
-pass; between grid points, the end is where the linearly interpolated gap is zero.
+pass, and drags on one from none to many; between grid points, the end is where the linearly
+interpolated gap is zero.
 """
 
 from __future__ import annotations
@@ -36,6 +37,9 @@ _SHIFTS = 15
 
 _LEAST_HEIGHT_M = 0.005
 """The lowest height that is tried: from 0 m a ball has no impact."""
+
+_DRAGS, _MOST_DRAG_1_M = 12, 0.5
+"""Drags that are tried at a time to either side: down to none, and up by so much, closer by."""
 
 _OUTSIDE = -1.0
 """[m] Added to the negative gap of a ball that passes outside, to tell it from one that touches."""
@@ -112,6 +116,29 @@ def restitution_ends(rig: ShotRig, ball: KnownBall, heights_m: Array, values: Ar
         more[is_open] = _shifted_gaps_m(rig, ball, heights_m[is_open], beyond)
         shifts = np.concatenate([beyond[:_SHIFTS], shifts, beyond[_SHIFTS:]])
         gaps = np.hstack([more[:, :_SHIFTS], gaps, more[:, _SHIFTS:]])
+
+
+def drag_ends(rig: ShotRig, ball: KnownBall, heights_m: Array) -> list[Range]:
+    """Around the ball's drag, the least and greatest [1/m] with which it passes.
+
+    None is the least there is; drags of over .5 /m more are not searched.
+
+    Args:
+        rig: plane, hoop and reach; its ball's drag is the middle.
+        ball: as it is known.
+        heights_m: from which it passes, shape (N,).
+
+    Returns:
+        N ranges.
+    """
+    middle_1_m = rig.ball.air_drag_1_m
+    away = np.linspace(0.0, 1.0, _DRAGS + 1)[1:] ** 2
+    below = middle_1_m * (1 - away[::-1]) if middle_1_m else np.zeros(0)
+    drags = np.concatenate([below, [middle_1_m], middle_1_m + _MOST_DRAG_1_M * away])
+    heights, tried = np.repeat(heights_m, len(drags)), np.tile(drags, len(heights_m))
+    flights = passes(rig, ball.law, heights, np.zeros(len(heights)), tried)
+    gaps = signed_gap_m(flights).reshape(len(heights_m), len(drags))
+    return [_ends(drags, one, len(below)) for one in gaps]
 
 
 def _shifted_gaps_m(rig: ShotRig, ball: KnownBall, heights_m: Array, shifts: Array) -> Array:

@@ -8,7 +8,7 @@ import numpy as np
 import rerun as rr
 
 from analysis.record import Tuning
-from analysis.review.drawing import at_seconds
+from analysis.review.drawing import GROUND, MUTED, at_seconds
 from analysis.tracking.pictures import readable_frames
 from tunenet_logs.episode import Frame
 from tunenet_logs.errors import LogError
@@ -18,6 +18,9 @@ _REDUCED_PX = 640
 
 _QUALITY = 85
 """Of its JPEG, 0 to 100: what the eye cannot tell from the original."""
+
+_FONT = 0
+"""OpenCV's number of its plain sans serif."""
 
 _MOST_RECORDED = 240
 """Pictures of a recording in which nothing was found: enough to see why, and soon loaded."""
@@ -66,3 +69,16 @@ def reduced(frame: Frame) -> Frame:
     bgr = cv2.cvtColor(small, cv2.COLOR_RGB2BGR)
     _, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
     return Frame(frame.stamp_ns, "jpeg", data.tobytes())
+
+
+def blank_picture(size_px: tuple[int, int], words: str) -> bytes:
+    """A JPEG of the ground's colour with these words in the middle."""
+    import cv2
+
+    width, height = size_px
+    sheet = np.full((height, width, 3), GROUND[::-1], np.uint8)
+    (across, up), _ = cv2.getTextSize(words, _FONT, 1.0, 1)
+    scale = 0.4 * width / across
+    corner = round((width - scale * across) / 2), round((height + scale * up) / 2)
+    cv2.putText(sheet, words, corner, _FONT, scale, MUTED[::-1], 1, cv2.LINE_AA)
+    return cv2.imencode(".jpg", sheet, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()

@@ -13,7 +13,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from analysis.planning.plan import Plan
-from analysis.planning.plan_report import best_lines
+from analysis.planning.plan_report import ball_lines, best_lines
 from analysis.review.drawing import GROUND, WIDTH, Color, chart_view, log_grid, screen_radius, ticks
 from recorders.simulators.shot.flight import STEP_S
 from tunenet_logs.arrays import Array
@@ -157,7 +157,7 @@ def _words(plan: Plan) -> str:
     best = plan.best
     head = "# no height scores" if best is None else f"# let go {best.height_m:.3f} m above"
     passing = int(np.count_nonzero(plan.clearance_m > 0))
-    lines = [head, *(best_lines(plan) if best else ())]
+    lines = [head, *(best_lines(plan) if best else ()), *ball_lines(plan)]
     lines.append(f"{passing} of {len(plan.heights_m)} heights pass without touching the rim")
     lines += [f"- {one_line(warning)}" for warning in plan.warnings]
     lines.append("yellow: the best; green: passes; red: touches the rim; grey: misses")

@@ -13,12 +13,14 @@ from pathlib import Path
 
 import rerun as rr
 import rerun.blueprint as rrb
+from rerun.blueprint.components import AbsoluteTimeRange
 
 from analysis.record import Record, Tuning
-from analysis.report import result_words
 from analysis.result_files import review_name
 from analysis.review.drawing import LOG_TIME, entity_of, send_scalars
 from analysis.review.pictures import log_recorded_film
+from analysis.review.verdict import VERDICT_SHARE, log_verdict
+from analysis.review.words import result_words
 from tunenet_logs.terminal import one_line
 
 _MOST_CURVES = 150
@@ -32,6 +34,10 @@ _MOST_NAMES = 13
 
 _BESIDE = 1.6
 """How much longer than the curves an axis is that has a legend beside them."""
+
+_SLOW_MOTION = 0.5
+"""Of the true speed: a bounce that lasts half a second is over before it is looked at."""
+
 _QUANTITIES = {
     "m": "positions",
     "rad": "joint positions",
@@ -57,17 +63,20 @@ def write_review(tuning: Tuning, record: Record, path: Path) -> None:
     text = result_words(
         record, tuning.preset, tuning.experiment.occasion if tuning.experiment else None
     )
-    if tuning.detection is None or tuning.experiment is None:
+    layout = None
+    found = tuning.refused if tuning.detection is None else tuning.detection
+    if tuning.experiment is not None and found is not None:
+        layout = tuning.experiment.review(stream, tuning)
+    if layout is None:
         views, left_out = _log_recorded(stream, tuning)
         text += f"\n\n- {left_out} more curves are not drawn" if left_out else ""
         layout = _recorded_layout(views, log_recorded_film(stream, tuning))
-    else:
-        layout = tuning.experiment.review(stream, tuning)
+    strip = log_verdict(stream, record)
     blueprint = rrb.Blueprint(
-        layout,
+        rrb.Vertical(strip, layout, row_shares=[VERDICT_SHARE, 1 - VERDICT_SHARE]),
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
-        rrb.TimePanel(state="collapsed", timeline=LOG_TIME),
+        _time_panel(record, has_film=found is not None and tuning.detection is None),
         auto_views=False,
         auto_layout=False,
     )
@@ -76,6 +85,27 @@ def write_review(tuning: Tuning, record: Record, path: Path) -> None:
     stream.flush()
     path.write_bytes(memory.drain_as_bytes())
     stream.disconnect()
+
+
+def _time_panel(record: Record, *, has_film: bool) -> rrb.TimePanel:
+    """A motion is played again and again, from the release to the last bounce; a bare film whole.
+
+    A blueprint cannot say where the cursor begins. One that plays shows the ball in its flight soon
+    after opening; one that stands would show it at rest, where the recording ends.
+    """
+    curves = record.motion.curves
+    if curves is None:
+        play, loop = ("playing", "all") if has_film else (None, None)
+        return rrb.TimePanel(state="collapsed", timeline=LOG_TIME, play_state=play, loop_mode=loop)
+    first_ns, last_ns = (round(1e9 * float(at_s)) for at_s in curves.seconds[[0, -1]])
+    return rrb.TimePanel(
+        state="collapsed",
+        timeline=LOG_TIME,
+        playback_speed=_SLOW_MOTION,
+        play_state="playing",
+        loop_mode="selection",
+        time_selection=AbsoluteTimeRange(first_ns, last_ns),
+    )
 
 
 def _log_recorded(stream: rr.RecordingStream, tuning: Tuning) -> tuple[list[rrb.View], int]:

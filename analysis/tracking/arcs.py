@@ -282,24 +282,25 @@ def _is_flight(table: Candidates, arc: Arc, down: Array, least_frames: int) -> b
     )
 
 
-def same_arc(table: Candidates, arc: Arc, positions_px: Array) -> Arc:
-    """The flight among new candidates.
+def same_arc(table: Candidates, frames: Index, gravity_px: Array, positions_px: Array) -> Arc:
+    """A flight among new candidates.
 
     Args:
         table: those of T pictures.
-        arc: the flight; its candidates are no longer those of the table.
+        frames: the pictures that it was seen in, shape (N,).
+        gravity_px: its acceleration [px/s²], shape (2,).
         positions_px: where the ball was seen before, shape (T, 2).
 
     Raises:
         NotFoundError: they do not follow it.
     """
-    apart = np.linalg.norm(table.places_px[arc.frames] - positions_px[arc.frames][:, None], axis=2)
+    apart = np.linalg.norm(table.places_px[frames] - positions_px[frames][:, None], axis=2)
     apart = np.where(np.isfinite(apart), apart, np.inf)
     if not apart.size:
         raise NotFoundError("the ball looks like what is behind it (mark it with --hsv)")
     nearest = apart.argmin(axis=1)
-    area = float(np.nanmedian(table.areas_px[arc.frames, nearest]))
+    area = float(np.nanmedian(table.areas_px[frames, nearest]))
     near = apart[np.arange(len(nearest)), nearest] < SLACK_PX + np.sqrt(area / np.pi)
     if near.sum() < _LEAST_NEAR:
         raise NotFoundError("the ball looks like what is behind it (mark it with --hsv)")
-    return Arc(arc.frames[near], nearest[near], arc.gravity_px)
+    return Arc(frames[near], nearest[near], gravity_px)

@@ -64,9 +64,6 @@ together with something else."""
 _MIDDLE = 0.6
 """Of the radius: half the side of a square that lies within the ball."""
 
-_SAME = 10
-"""Of 255, in the mean of three by three pixels: less is no change."""
-
 _SURROUNDINGS = 5.0
 """Ball radii around a position in which to look for what is like the ball."""
 
@@ -78,10 +75,12 @@ _LIKELIEST = 2
 """Places there: a shadow or a reflection may be more like the ball than the ball."""
 
 
-def color_and_size(table: Candidates, arc: Arc) -> ColorAndSize:
-    """Of what flies, the medians over its pictures."""
-    colours = table.colours[arc.frames, arc.chosen]
-    areas = table.areas_px[arc.frames, arc.chosen]
+def color_and_size(
+    table: Candidates, frames: NDArray[np.intp], chosen: NDArray[np.intp]
+) -> ColorAndSize:
+    """The medians of some candidates, one in each of these pictures."""
+    colours = table.colours[frames, chosen]
+    areas = table.areas_px[frames, chosen]
     return ColorAndSize(np.median(colours, axis=0), float(np.median(areas)))
 
 
@@ -296,22 +295,3 @@ def _alike(ball: Appearance, picture: Picture, x: float, y: float) -> list[tuple
         rows = slice(max(row - near, 0), row + near + 1)
         off[rows, max(column - near, 0) : column + near + 1] = np.inf
     return found
-
-
-def is_same(before: Picture, picture: Picture, found: Blobs) -> bool:
-    """Whether nothing has changed around the likeliest candidate."""
-    import cv2
-
-    if not len(found.areas_px):
-        return False
-    best = int(found.misfits.argmin())
-    half = int(np.ceil(1.5 * np.sqrt(found.areas_px[best] / np.pi))) + 2
-    column, row = (int(value) for value in np.round(found.places_px[best]))
-    part = (
-        slice(max(row - half, 0), row + half + 1),
-        slice(max(column - half, 0), column + half + 1),
-    )
-    if not picture[part].size:
-        return False
-    off = cv2.absdiff(cv2.blur(before[part], (3, 3)), cv2.blur(picture[part], (3, 3)))
-    return int(np.asarray(off).max()) < _SAME

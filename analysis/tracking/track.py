@@ -11,6 +11,7 @@ from analysis.selection import Hints
 from analysis.tracking.appearance import learn_appearance
 from analysis.tracking.arcs import LEAST_FRAMES, Arc, longest_arc, same_arc
 from analysis.tracking.background import Background, halved_background, still_background
+from analysis.tracking.camera_motion import check_still
 from analysis.tracking.candidates import Blobs, Candidates, hsv_blobs, moving_blobs, picked
 from analysis.tracking.following import (
     LEAST_SEEN,
@@ -18,9 +19,10 @@ from analysis.tracking.following import (
     color_and_size,
     flight_and_rest,
     follow,
-    is_same,
 )
 from analysis.tracking.pictures import Pictures
+from analysis.tracking.repeats import change_around, new_pictures, repeated
+from analysis.tracking.rolling import refuse_roll
 from tunenet_logs.arrays import Array, Picture
 from tunenet_logs.errors import NotFoundError
 
@@ -37,7 +39,7 @@ moves through light and shade, and is blurred."""
 _CONFIDENCE_COST = 8.0
 """What speaks against a candidate where its confidence is 1/e; `follow` takes none above 12."""
 
-_EXPOSURE_S = 0.008
+_EXPOSURE_S = 0.016
 """Longer ones blur a ball so much that people add light."""
 
 _GOOD = 0.4
@@ -53,12 +55,6 @@ _RESTS_BELOW = (0.0, 2.0, 4.0)
 _MISSED = 1.2
 """A learnt radius over the first one, above which the ball stood out by a part of it alone, and too
 little was kept out of the background."""
-
-_MOVED_PX, _STOOD_PX = 1.0, 0.5
-"""Least way of a ball that moves, and most of one that stands: several times the noise."""
-
-_ONWARD = 0.8
-"""Cosine between the way that came and the one that went on: a bounce turns, flight goes on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,17 +116,30 @@ def track_ball(pictures: Pictures, hints: Hints | None = None) -> Track:
             return _only_like(table, pictures, hints.ball_at)
         return table
 
+    check_still(pictures.samples)
     table = moving(still_background(pictures.samples))
     arc = longest_arc(table)
-    if arc is None:
-        table = moving(halved_background(pictures.samples))
-        arc = _arc_of(table.inside(), _FEW_FRAMES)
-    second = _redetect(pictures, table, arc, allowed)
+    try:
+        if arc is None:
+            look = moving(halved_background(pictures.samples))
+            track = _of_arc(pictures, look, _arc_of(look.inside(), _FEW_FRAMES), allowed)
+        else:
+            track = _of_arc(pictures, table, arc, allowed)
+    except NotFoundError as error:
+        refuse_roll(table, pictures.scale, 0.0, error)
+        raise
+    way_px = np.linalg.norm(np.ptp(track.places_px[track.found], axis=0))
+    refuse_roll(table, pictures.scale, float(way_px))
+    return track
+
+
+def _of_arc(pictures: Pictures, first: Candidates, arc: Arc, allowed: Picture | None) -> Track:
+    """From a flight among candidates by their motion to the ball in all pictures."""
+    second = _redetect(pictures, first, arc, allowed)
     fresh = second.new_frames()
     table = second.table.some(fresh)
-    kept = np.isin(arc.frames, fresh)
-    arc = replace(arc, frames=np.searchsorted(fresh, arc.frames[kept]), chosen=arc.chosen[kept])
-    arc = same_arc(table, arc, second.before_px[fresh])
+    shown = np.unique(np.searchsorted(fresh, arc.frames, side="right") - 1)  # first, where repeated
+    arc = same_arc(table, shown, arc.gravity_px, second.before_px[fresh])
     return _track(pictures, table, arc, fresh)
 
 
@@ -138,8 +147,9 @@ def _arc_of(table: Candidates, least_frames: int = LEAST_FRAMES) -> Arc:
     arc = longest_arc(table, least_frames)
     if arc is None:
         raise NotFoundError(
-            "no ball is seen to fly: nothing in the pictures moves along a parabola "
-            "(mark it with --roi, --hsv or --ball-at if it is hard to see)"
+            "no ball is seen to fly: nothing in the pictures moves along a parabola, as a drop "
+            "does that is filmed from the side (mark it with --roi, --hsv or --ball-at if it is "
+            "hard to see)"
         )
     return arc
 
@@ -176,7 +186,13 @@ def _track(
     fresh: NDArray[np.intp] | slice = slice(None),
 ) -> Track:
     """From an arc among candidates of the pictures `fresh` to the ball in each of them."""
-    chosen, cost = follow(table, arc, color_and_size(table, arc))
+    ball = color_and_size(table, arc.frames, arc.chosen)
+    chosen, _ = follow(table, arc, ball)
+    # Where the light falls in its flight is chance: how it looks is how it does on all of its way.
+    sure = np.flatnonzero((chosen >= 0) & (picked(table.misfits, chosen) < _GOOD))
+    if len(sure) >= LEAST_SEEN:
+        ball = color_and_size(table, sure, chosen[sure])
+    chosen, cost = follow(table, arc, ball)
     positions = picked(table.places_px, chosen)
     areas = picked(table.areas_px, chosen)
     cut = ~picked(table.whole.astype(float), chosen).astype(bool)  # at the edge: half a ball
@@ -212,33 +228,16 @@ class Redetection:
     unchanged: NDArray[np.bool_]
 
     def new_frames(self) -> NDArray[np.intp]:
-        """Numbers of the pictures but those that show a moving ball where it was, once more.
-
-        Phones double pictures, and cameras freeze. A ball that lies moves neither before nor after;
-        one that bounces may be seen twice in one place, but goes back.
-        """
+        """Numbers of the pictures but those that repeat one; see `new_pictures`."""
         table = self.table
-        kept = np.ones(len(self.unchanged), dtype=bool)
+        rows = np.arange(len(self.unchanged))
         if not table.areas_px.size:
-            return np.flatnonzero(kept)
+            return rows
         misfits = np.where(np.isfinite(table.areas_px), table.misfits, np.inf)
         best = misfits.argmin(axis=1)
-        rows = np.arange(len(best))
-        positions = table.places_px[rows, best].copy()
-        positions[misfits[rows, best] > _GOOD] = np.nan
-        found = np.flatnonzero(np.isfinite(positions[:, 0]))
-        edges = np.diff(np.concatenate([[False], self.unchanged, [False]]).astype(int))
-        for first, end in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
-            earlier, later = found[found < first], found[found >= end]
-            if len(earlier) < 2 or not len(later):
-                continue
-            before, here, after = positions[[earlier[-2], earlier[-1], later[0]]]
-            came, went = here - before, after - here
-            stood = np.linalg.norm(positions[first:end] - here, axis=1).max() < _STOOD_PX
-            least = min(np.linalg.norm(came), np.linalg.norm(went))
-            onward = came @ went > _ONWARD * np.linalg.norm(came) * np.linalg.norm(went)
-            kept[first:end] = not (stood and least > _MOVED_PX and onward)
-        return np.flatnonzero(kept)
+        places = table.places_px[rows, best].copy()
+        places[misfits[rows, best] > _GOOD] = np.nan
+        return new_pictures(places, self.unchanged)
 
 
 def _redetect(
@@ -252,7 +251,7 @@ def _redetect(
         arc: the flight among them.
         allowed: see `Pictures.allowed`.
     """
-    ball = color_and_size(first, arc)
+    ball = color_and_size(first, arc.frames, arc.chosen)
     chosen, _ = follow(first, arc, ball)
     seen_px = picked(first.places_px, chosen)
     every = np.arange(len(seen_px))
@@ -281,10 +280,11 @@ def _redetect(
     del crops, samples  # many whole pictures
     detector = BallDetector(clear, ball, appearance, allowed)
     blobs: list[Blobs] = []
-    unchanged = np.zeros(len(before_px), dtype=bool)
+    changes = np.full((len(before_px), 2), np.nan)
     before: Picture | None = None
     for number, picture in enumerate(pictures):
         blobs.append(detector.find(picture, before_px[number], still_px[number]))
-        unchanged[number] = before is not None and is_same(before, picture, blobs[-1])
+        if before is not None:
+            changes[number] = change_around(before, picture, blobs[-1])
         before = picture
-    return Redetection(Candidates.of(first.seconds, blobs), before_px, unchanged)
+    return Redetection(Candidates.of(first.seconds, blobs), before_px, repeated(changes))

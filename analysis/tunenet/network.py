@@ -62,8 +62,7 @@ class AntisymmetricNetwork:
     """h(o_P, o_T) = (g(o_P, o_T) - g(o_T, o_P)) / 2: exactly 0 where the two are equal.
 
     The paper's network has a bias at its fixed point. This one cannot have any, so its iterations
-    end at the target. g shares one first layer for both sides
-    and has no tanh.
+    end at the target. g shares one first layer for both sides and has no tanh.
     """
 
     kind = "antisymmetric"
@@ -84,6 +83,13 @@ class AntisymmetricNetwork:
         forth = relu(_joint(weights, "joint", of_proposed, of_target))
         back = relu(_joint(weights, "joint", of_target, of_proposed))
         return (linear(weights, "out", forth) - linear(weights, "out", back)) / 2
+
+
+class WideNetwork(AntisymmetricNetwork):
+    """The antisymmetric network for several parameters: twice as wide."""
+
+    kind = "wide"
+    width = 128
 
 
 class HomogeneousNetwork:
@@ -109,7 +115,7 @@ class HomogeneousNetwork:
 
 NETWORKS: dict[str, Network] = {
     network.kind: network
-    for network in (PaperNetwork(), AntisymmetricNetwork(), HomogeneousNetwork())
+    for network in (PaperNetwork(), AntisymmetricNetwork(), WideNetwork(), HomogeneousNetwork())
 }
 
 

@@ -79,39 +79,14 @@ def mixed_pairs(
     """Half of them any two rollouts, half of them close together, where the last steps are made.
 
     Args:
-        values: one parameter of the N rollouts, shape (N,).
+        values: of the N rollouts, shape (N, P); close together is by the first one.
         count: pairs wanted.
         rng: where they are drawn from.
     """
-    order = np.argsort(values)
+    order = np.argsort(values[:, 0])
     proposed = rng.integers(len(values), size=count)
     anywhere = rng.integers(len(values), size=count)
     reach = 0.1 * len(values) * rng.random(count) * rng.standard_normal(count)
     near = np.clip(proposed + reach.astype(int), 0, len(values) - 1)
     target = np.where(rng.random(count) < 0.5, near, anywhere)
     return order[proposed], order[target]
-
-
-def cross_pairs(
-    values: Array,
-    proposed: NDArray[np.intp],
-    target: NDArray[np.intp],
-    count: int,
-    rng: np.random.Generator,
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """As `mixed_pairs`, o_P from some rollouts and o_T from others.
-
-    Args:
-        values: one parameter of the N rollouts, shape (N,).
-        proposed: which of them may be o_P.
-        target: which may be o_T.
-        count: pairs wanted.
-        rng: where they are drawn from.
-    """
-    order = proposed[np.argsort(values[proposed])]
-    targets = target[rng.integers(len(target), size=count)]
-    anywhere = rng.integers(len(order), size=count)
-    reach = 0.1 * rng.random(count) * rng.standard_normal(count)
-    wanted = np.searchsorted(values[order], values[targets] + reach)
-    near = np.clip(wanted, 0, len(order) - 1)
-    return order[np.where(rng.random(count) < 0.5, near, anywhere)], targets

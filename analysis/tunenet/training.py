@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     import torch
 
 
+_LATEST_BEGIN = 0.18
+"""Share of an observation that a short recording may lack at its beginning: the fall."""
+
+
 @dataclass(frozen=True)
 class Recipe:
     """How a network is trained.
@@ -27,10 +31,11 @@ class Recipe:
         weight_decay: L2 constant.
         loss: "squared", "norm" (unsquared, the paper's eq. 4), or "relative": squared, over
             (|residual| + 0.1)^2, so that small residuals count as they do in the last steps.
-        scaling: "raw", "unit" (inputs and outputs to [0, 1]) or "standard"; "unit-inputs" and
-            "z-score" scale each channel of the inputs alone.
+        scaling: "raw", "unit" (inputs and outputs to [0, 1]), "standard" (of inputs), or "ranges"
+            (also each output by its parameter's range); "unit-inputs" and "z-score" scale each
+            channel of the inputs alone.
         noise: up to this standard deviation is added to o_T, in the observation's unit.
-        cut_share: share of pairs that end early, as a short recording does.
+        cut_share: share of pairs that begin late and end early, as a short recording does.
     """
 
     optimizer: str
@@ -116,7 +121,8 @@ def _scaling(pairs: PairSet, how: str) -> Scaling:
         least, most = pairs.residuals.min(axis=0), pairs.residuals.max(axis=0)
         return Scaling(low, 1 / (high - low), least, most - least)
     spread = np.nanstd(flat, axis=0).mean()
-    return Scaling(np.nanmean(flat, axis=0), np.array([1 / spread]), none, one)
+    ranges = np.ptp(pairs.values, axis=0) if how == "ranges" else one
+    return Scaling(np.nanmean(flat, axis=0), np.array([1 / spread]), none, ranges)
 
 
 def _by_channel(observations: Array, to_unit: bool) -> tuple[Array, Array]:
@@ -150,7 +156,7 @@ def _augment(
     cut_share: float,
     generator: torch.Generator,
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Noise on the target, and pairs that end early: what is not seen is 0 in both."""
+    """Noise on the target, and pairs that begin late, end early: what is not seen is 0 in both."""
     import torch
 
     count, length = target.shape
@@ -160,7 +166,9 @@ def _augment(
     if cut_share:
         cut = torch.rand(count, 1, generator=generator) < cut_share
         end = 0.25 + 0.75 * torch.rand(count, 1, generator=generator)
-        seen = ~cut | (torch.arange(length) < end * length)
+        begin = _LATEST_BEGIN * torch.rand(count, 1, generator=generator)
+        places = torch.arange(length)
+        seen = ~cut | ((places < end * length) & (places >= begin * length))
         proposed, target = proposed * seen, target * seen
     return proposed, target
 

@@ -19,17 +19,17 @@ FITS = (
     ),
     Fault(
         "the interval of a smoothed track counts every sample as one of its own",
-        "analysis/drop/bounce_fit.py",
-        "allowed = variance * samples_each * float(t.ppf(0.975, freedom)) ** 2",
-        "allowed = variance * float(t.ppf(0.975, freedom)) ** 2",
-        ("tests/analysis/drop/test_bounce_fit.py",),
+        "analysis/drop/bounce_posterior.py",
+        "scale = fit.scale * np.sqrt(factor)",
+        "scale = fit.scale",
+        ("tests/analysis/drop/test_positions_fit.py",),
     ),
     Fault(
         "the drag of a known ball goes with the fall time, not with its square",
-        "analysis/drop/film_fit.py",
-        "known = self.drag_1_s2 * np.exp(2 * unknowns[FALL])",
-        "known = self.drag_1_s2 * np.exp(unknowns[FALL])",
-        ("tests/analysis/drop/test_film_restitution.py", "tests/analysis/drop/test_film.py"),
+        "analysis/drop/bounce_model.py",
+        "height_m = GRAVITY_M_S2 * float(np.exp(2 * unknowns[FALL])) / 2",
+        "height_m = GRAVITY_M_S2 * float(np.exp(unknowns[FALL])) / 2",
+        ("tests/analysis/drop/test_film_fit.py", "tests/analysis/drop/test_film.py"),
     ),
     Fault(
         "the error of the centre of mass has the mass's part with the wrong sign",
@@ -46,11 +46,11 @@ FITS = (
         ("tests/analysis/payload/test_arm_log.py",),
     ),
     Fault(
-        "the drag of a drop has fall and flight swapped",
-        "analysis/drop/free_fall.py",
-        "drag=1 - fall_gravity / flight_gravity,",
-        "drag=1 - flight_gravity / fall_gravity,",
-        ("tests/analysis/drop/test_doubts.py", "tests/analysis/drop/test_free_fall.py"),
+        "the restitution of a simulated ball rises with the speed of an impact",
+        "recorders/simulators/speed_law.py",
+        "return np.clip(self.restitution * ratio**-self.slope, 0.0, 1.0)",
+        "return np.clip(self.restitution * ratio**self.slope, 0.0, 1.0)",
+        ("tests/recorders/test_drop.py",),
     ),
 )
 
@@ -156,7 +156,7 @@ VERDICTS = (
         "analysis/drop/film_checks.py",
         "diameter_px = 2 * float(np.nanmedian(film.track.radius_px[film.used]))",
         "diameter_px = float(np.nanmedian(film.track.radius_px[film.used]))",
-        ("tests/analysis/drop/test_film.py", "tests/analysis/drop/test_film_restitution.py"),
+        ("tests/analysis/drop/test_film.py", "tests/analysis/drop/test_film_fit.py"),
     ),
     Fault(
         "an arm's slow torques are hidden by its fast positions",

@@ -12,10 +12,10 @@ from benchmarks.faults.fault import Fault
 FITS = (
     Fault(
         "the speed of an impact is twice what it is",
-        "analysis/drop/film_restitution.py",
+        "analysis/drop/rebounds.py",
         "unit_m_s = CALIBRATED.gravity_m_s2 * fall_s / 2",
         "unit_m_s = CALIBRATED.gravity_m_s2 * fall_s",
-        ("tests/analysis/drop/test_film_restitution.py",),
+        ("tests/analysis/drop/test_film_fit.py",),
     ),
     Fault(
         "torques that lag are compared with where the arm will be",

@@ -12,10 +12,10 @@ from benchmarks.faults.fault import Fault
 FITS = (
     Fault(
         "how long flights last seems surer than it is: the errors of the impact between cancel",
-        "analysis/drop/film_restitution.py",
+        "analysis/drop/rebounds.py",
         "slopes = np.array([ratio, -1 - ratio, 1.0]) / (second - first)",
         "slopes = np.array([ratio, 1 - ratio, 1.0]) / (second - first)",
-        ("tests/analysis/drop/test_film_restitution.py",),
+        ("tests/analysis/drop/test_film_fit.py",),
     ),
     Fault(
         "the last sample of a burst stays as late as it came",
@@ -33,9 +33,9 @@ FITS = (
     ),
     Fault(
         "a ball that is twice in one place as it turns back is taken for a doubled picture",
-        "analysis/tracking/track.py",
-        "kept[first:end] = not (stood and least > _MOVED_PX and onward)",
-        "kept[first:end] = not (stood and least > _MOVED_PX)",
+        "analysis/tracking/repeats.py",
+        "repeats = [run for run in runs if _goes_on(places_px, *run)]",
+        "repeats = list(runs)",
         ("tests/analysis/tracking/test_trouble.py",),
     ),
     Fault(
@@ -138,13 +138,13 @@ VERDICTS = (
         "analysis/drop/film_checks.py",
         "perspective=float(-found[1] - projection.perspective),",
         "perspective=float(found[1] - projection.perspective),",
-        ("tests/analysis/drop/test_film_restitution.py",),
+        ("tests/analysis/drop/test_film_fit.py",),
     ),
     Fault(
         "the simulated curve lies a radius too low beside the observed one",
-        "analysis/drop/record_parts.py",
-        'heights_m = signal.values[:, 2] - episode.info.rig["ball_diameter_m"] / 2',
-        'heights_m = signal.values[:, 2] - episode.info.rig["ball_diameter_m"]',
+        "analysis/drop/motion.py",
+        'heights = (signal.values[:, 2] - rig["ball_diameter_m"] / 2) / rig["drop_height_m"]',
+        'heights = (signal.values[:, 2] - rig["ball_diameter_m"]) / rig["drop_height_m"]',
         ("tests/analysis/drop/test_review.py",),
     ),
     Fault(

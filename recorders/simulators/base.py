@@ -109,6 +109,10 @@ class BallWorld(Protocol):
         """
         ...
 
+    def set_restitution(self, restitution: float) -> None:
+        """Give the impacts from now on this restitution."""
+        ...
+
     def set_speed(self, speed_m_s: float) -> None:
         """Give the ball this speed upward."""
         ...

@@ -12,7 +12,7 @@ from recorders.simulators.drop import RESTITUTION, TOPIC
 from recorders.simulators.shot.contact import BallStates
 from recorders.simulators.shot.flight import COARSE_S, STEP_S, Flights, fly
 from recorders.simulators.shot.rig import ShotRig
-from recorders.simulators.shot.speed_law import SpeedLaw
+from recorders.simulators.speed_law import SpeedLaw
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import UsageError
@@ -28,7 +28,13 @@ def shoot(rig: ShotRig, law: SpeedLaw, heights_m: Array) -> Flights:
     )
 
 
-def passes(rig: ShotRig, law: SpeedLaw, heights_m: Array, shifts: Array) -> Flights:
+def passes(
+    rig: ShotRig,
+    law: SpeedLaw,
+    heights_m: Array,
+    shifts: Array,
+    drags_1_m: Array | None = None,
+) -> Flights:
     """The same as if the rim let everything through: where they would pass it, and how near.
 
     Args:
@@ -36,9 +42,10 @@ def passes(rig: ShotRig, law: SpeedLaw, heights_m: Array, shifts: Array) -> Flig
         law: of the ball.
         heights_m: shape (N,).
         shifts: added to the restitution of each shot, shape (N,).
+        drags_1_m: of each shot's ball, shape (N,); the rig's ball's if None.
     """
     start = released(rig, heights_m)
-    return fly(rig, law, start, shifts, has_rim=False, step_s=COARSE_S)
+    return fly(rig, law, start, shifts, has_rim=False, drags_1_m=drags_1_m, step_s=COARSE_S)
 
 
 def released(rig: ShotRig, heights_m: Array) -> BallStates:
@@ -111,6 +118,8 @@ class BounceShot:
             },
             truth={
                 RESTITUTION.name: law.restitution,
+                "restitution_slope": law.slope,
+                "drag": self.rig.ball.air_drag_1_m,
                 "success": float(flights.is_through[0]),
                 "miss_distance_m": float(np.nan_to_num(np.hypot(*flights.offset_m[0]), nan=-1.0)),
             },

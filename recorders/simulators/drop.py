@@ -1,4 +1,4 @@
-"""A ball dropped on a plane in a physics engine, with a coefficient of restitution."""
+"""A ball dropped on a plane in a physics engine: its restitution, by speed, and the air."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from recorders.simulators.base import BallWorld, Parameter, engine
+from recorders.simulators.closed_form.flight import flown, lands_after_s
 from recorders.simulators.contact import CALIBRATED, ContactSettings
+from recorders.simulators.speed_law import SpeedLaw
+from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import UsageError
 
@@ -17,6 +20,18 @@ TOPIC = "/ball/pose"
 RESTITUTION = Parameter(
     name="restitution", unit="1", bounds=(0.0, 1.0), training_range=(0.0, 1.0), initial=0.0
 )
+"""At the speed of the first impact, e."""
+
+SLOPE = Parameter(
+    name="restitution_slope", unit="1", bounds=(-0.5, 0.5), training_range=(0.0, 0.15), initial=0.0
+)
+"""p of e (v / v_first)^-p: how the restitution falls with the impact's speed; see `SpeedLaw`."""
+
+DRAG = Parameter(name="drag", unit="1/m", bounds=(0.0, 2.0), training_range=(0.0, 0.3), initial=0.0)
+"""k of dv/dt = -g - k v |v|: rho Cd A / (2 m) of the air, the ball's area and its mass."""
+
+REAL_BALL = (RESTITUTION, SLOPE, DRAG)
+"""What moves a real ball, in the order of a vector of them."""
 
 # From what a camera can see and an engine can simulate, to far more than anybody drops.
 _LIMITS = {
@@ -38,7 +53,9 @@ class DropRig:
         rate_hz: samples a second; the engine steps once a sample, and once more at each impact.
         samples: how many.
         hold_s: how long the ball is held before it is let go.
-        start_ns: stamp of the first sample.
+        start_ns: where the rig's clock is 0, and its first sample unless `times_s` says otherwise.
+        times_s: when the samples are taken instead [s], increasing; empty for an even rate. Only
+            with calibrated contacts.
 
     Raises:
         UsageError: a value that is not finite or out of range.
@@ -50,6 +67,7 @@ class DropRig:
     samples: int = 400
     hold_s: float = 0.0
     start_ns: int = 0
+    times_s: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         for item in fields(self):
@@ -61,13 +79,20 @@ class DropRig:
                         f"{item.name} {value:g} is not from {low:g} to {high:g} {unit}".rstrip()
                     )
 
+    def sample_s(self) -> Array:
+        """When samples are taken [s after the start], shape (T,)."""
+        if self.times_s:
+            return np.array(self.times_s)
+        return np.arange(self.samples) / self.rate_hz
+
 
 class Flight:
     """A falling and bouncing ball that can be advanced by any time, exactly.
 
-    The engine's step is v += -g dt, then z += v dt. Half a kick ahead (leapfrog integration), that
-    is the parabola itself whatever dt; so the step need not be small, only cut where the ball meets
-    the plane. There one very short step lets the engine solve the contact.
+    The engine's step is v += -g dt, then z += v dt. It is given the speed with which that ends
+    where the ball is after dt by the closed form of a flight in air; so the step need not be small,
+    only cut where the ball meets the plane. There one very short step lets the engine solve the
+    contact, with the restitution that the ball has at the impact's speed.
     """
 
     _IMPACT_S = 1e-6
@@ -76,9 +101,11 @@ class Flight:
     _OVERLAP_M = 1e-9
     """How far the ball is let into the plane: the engine acts only on what touches."""
 
-    def __init__(self, world: BallWorld, gap_m: float, restitution: float) -> None:
-        world.place(gap_m, restitution)
+    def __init__(self, world: BallWorld, gap_m: float, law: SpeedLaw, drag_1_m: float) -> None:
+        world.place(gap_m, law.restitution)
         self._world = world
+        self._law = law
+        self._drag_1_m = drag_1_m
         self._gravity = world.contact.gravity_m_s2
         self._height_m = world.radius_m + gap_m
         self._speed_m_s = 0.0
@@ -91,13 +118,13 @@ class Flight:
             impact_s = math.inf
             if not self._at_rest:
                 gap_m = max(self._height_m - world.radius_m + self._OVERLAP_M, 0.0)
-                reach = math.sqrt(self._speed_m_s**2 + 2 * gravity * gap_m)
-                impact_s = (self._speed_m_s + reach) / gravity
+                impact_s = lands_after_s(gap_m, self._speed_m_s, gravity, self._drag_1_m)
             if impact_s > seconds:
                 self._fly(seconds)
                 break
             if impact_s > self._IMPACT_S:
                 self._fly(impact_s)
+            world.set_restitution(float(self._law.at(np.array(-self._speed_m_s))))
             world.set_speed(self._speed_m_s + gravity * self._IMPACT_S)
             self._height_m, self._speed_m_s = world.step(self._IMPACT_S)
             if abs(self._speed_m_s) < world.contact.resting_speed_m_s:
@@ -111,16 +138,20 @@ class Flight:
             self._world.set_speed(kick)  # the ground bears the weight
             self._height_m, _ = self._world.step(seconds)
             return
-        self._world.set_speed(self._speed_m_s + kick / 2)
-        self._height_m, speed_m_s = self._world.step(seconds)
-        self._speed_m_s = speed_m_s - kick / 2
+        height_m, speed_m_s = flown(
+            self._height_m, self._speed_m_s, seconds, self._gravity, self._drag_1_m
+        )
+        self._world.set_speed((height_m - self._height_m) / seconds + kick)
+        self._height_m, _ = self._world.step(seconds)
+        self._speed_m_s = speed_m_s
 
 
 class DropSimulator:
     """The drop of the paper's second experiment (mass 1 kg, plane's restitution 1).
 
-    With the calibrated settings sample 0 is the start; with the paper's, samples are taken after
-    each step, as its authors do.
+    With the calibrated settings sample 0 is the start, the restitution may fall with the impact's
+    speed, and the air may slow the ball. With the paper's, samples are taken after each step, as
+    its authors do, and there is one restitution and the engine's damping.
 
     Args:
         rig: what is dropped from where, and how it is sampled.
@@ -128,13 +159,12 @@ class DropSimulator:
         world: with that ball and these contacts; one of the default engine if None.
     """
 
-    parameters = (RESTITUTION,)
-
     def __init__(
         self, rig: DropRig, contact: ContactSettings = CALIBRATED, world: BallWorld | None = None
     ) -> None:
         self.rig = rig
         self.contact = contact
+        self.parameters = REAL_BALL if contact.meet_impacts else (RESTITUTION,)
         self._world = world or engine().ball_world(rig.radius_m, contact)
         self.engine = self._world.engine
         self.step_hz = rig.rate_hz
@@ -150,25 +180,23 @@ class DropSimulator:
         return DropSimulator(rig, self.contact, self._world)
 
     def rollout(self, values: Mapping[str, float]) -> Episode:
-        """Drop the ball with `values["restitution"]`; see `Simulator.rollout`."""
-        if set(values) != {RESTITUTION.name}:
-            raise UsageError(f"a drop takes the value restitution, not {sorted(values)}")
-        restitution = RESTITUTION.checked(values[RESTITUTION.name])
-        rig, world = self.rig, self._world
-        period_s = 1.0 / rig.rate_hz
-        heights_m = np.full(rig.samples, rig.radius_m + rig.gap_m)
+        """Drop the ball; see `Simulator.rollout`.
+
+        Args:
+            values: by name: the restitution, and as far as they are not 0 the others.
+        """
+        known = {parameter.name: parameter for parameter in self.parameters}
+        if RESTITUTION.name not in values or not values.keys() <= known.keys():
+            takes = ", ".join(known)
+            raise UsageError(f"a drop takes the values {takes}, not {sorted(values)}")
+        truth = {name: one.checked(values.get(name, 0.0)) for name, one in known.items()}
+        seconds = self.rig.sample_s()
+        stamps_ns = self.rig.start_ns + np.round(seconds * 1e9).astype(np.int64)
         if self.contact.meet_impacts:
-            flight = Flight(world, rig.gap_m, restitution)
-            for index in range(1, rig.samples):
-                falling_s = index * period_s - rig.hold_s
-                if falling_s > 0:
-                    heights_m[index] = flight.advance(min(period_s, falling_s))
+            heights_m = self._flown(truth, seconds)
         else:
-            world.place(rig.gap_m, restitution)
-            held = min(round(rig.hold_s * rig.rate_hz), rig.samples)
-            heights_m[held:] = world.steps(period_s, rig.samples - held)
-        ticks = np.arange(len(heights_m)) + (0 if self.contact.meet_impacts else 1)
-        stamps_ns = self.rig.start_ns + np.round(ticks * (1e9 / self.rig.rate_hz)).astype(np.int64)
+            heights_m = self._stepped(truth[RESTITUTION.name])
+            stamps_ns += round(1e9 / self.rig.rate_hz)
         positions = np.column_stack([np.zeros((len(heights_m), 2)), heights_m])
         info = EpisodeInfo(
             kind="drop",
@@ -178,6 +206,34 @@ class DropSimulator:
                 "ball_diameter_m": 2 * self.rig.radius_m,
                 "drop_height_m": self.rig.gap_m,
             },
-            truth={RESTITUTION.name: restitution},
+            truth=truth,
         )
         return Episode(info, {TOPIC: Signal(TOPIC, stamps_ns, positions, ("x", "y", "z"), "m")})
+
+    def _flown(self, values: Mapping[str, float], seconds: Array) -> Array:
+        """Heights of the centre at these times [m], shape (T,), each impact met."""
+        rig, drag_1_m = self.rig, values[DRAG.name]
+        first = flown(
+            rig.gap_m,
+            0.0,
+            lands_after_s(rig.gap_m, 0.0, self.contact.gravity_m_s2, drag_1_m),
+            self.contact.gravity_m_s2,
+            drag_1_m,
+        )
+        law = SpeedLaw(values[RESTITUTION.name], values[SLOPE.name], -first[1])
+        flight = Flight(self._world, rig.gap_m, law, drag_1_m)
+        heights_m = np.full(len(seconds), rig.radius_m + rig.gap_m)
+        now_s = rig.hold_s
+        for index in np.flatnonzero(seconds > rig.hold_s).tolist():
+            heights_m[index] = flight.advance(float(seconds[index]) - now_s)
+            now_s = float(seconds[index])
+        return heights_m
+
+    def _stepped(self, restitution: float) -> Array:
+        """Heights of the centre after each plain step [m], shape (T,)."""
+        rig = self.rig
+        heights_m = np.full(rig.samples, rig.radius_m + rig.gap_m)
+        self._world.place(rig.gap_m, restitution)
+        held = min(round(rig.hold_s * rig.rate_hz), rig.samples)
+        heights_m[held:] = self._world.steps(1.0 / rig.rate_hz, rig.samples - held)
+        return heights_m

@@ -12,7 +12,7 @@ from analysis.batch import tune_all
 from analysis.checks import Check, CrossCheck
 from analysis.estimators.base import Estimator, FitResult, Observation, Problem, Step, Trace
 from analysis.experiment import Claim, Preset
-from analysis.record import Curves, Rebound
+from analysis.record import Motion, Rebound
 from analysis.record_json import read_record, to_json
 from analysis.registry import EXPERIMENTS, METHODS, experiment_named, method_named
 from analysis.selection import Options, Selection
@@ -89,8 +89,7 @@ class TeaExperiment:
 
     name = kind = "tea"
     occasion = "cup"
-    parameters = (RATE,)
-    presets: Mapping[str, Preset] = {"default": Preset(physical=True, method="brent")}
+    presets: Mapping[str, Preset] = {"default": Preset(True, (RATE,), method="brent")}
 
     def claim(self, episode: Episode, topic: str | None) -> Claim:
         """See `Experiment.claim`."""
@@ -120,8 +119,8 @@ class TeaExperiment:
     def cross_check(self, detection: TeaDetection, estimate: Array) -> CrossCheck | None:
         """See `Experiment.cross_check`."""
 
-    def curves(self, detection: TeaDetection, last: Step) -> Curves | None:
-        """See `Experiment.curves`."""
+    def motion(self, detection: TeaDetection, trace: Trace) -> Motion | None:
+        """See `Experiment.motion`."""
 
     def rebounds(self, detection: TeaDetection, trace: Trace) -> tuple[Rebound, ...]:
         """See `Experiment.rebounds`."""

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from analysis.record import Tuning, record_of
-from analysis.report import Row, interval_words, result_words, row_of, table
+from analysis.record import Equivalent, Equivalents, Motion, Tuning, record_of
+from analysis.report import Row, interval_words, row_of, table
+from analysis.review.words import result_words
 from analysis.selection import Options
 from analysis.tuning import tune_log
 
@@ -47,4 +49,51 @@ def test_no_interval_reads_as_certainty(drop_log: Path):
     low, high = words.split(" to ")
     assert low != high
     assert words in table([rowed(tuning)])
-    assert f"95 %: {words}" in result_words(record_of(tuning), tuning.preset, "drop")
+    assert f" | {words} | " in result_words(record_of(tuning), tuning.preset, "drop")
+
+
+def test_the_table_has_slope_drag_and_how_well_the_simulator_fits(drop_log: Path):
+    header, line = table([rowed(tune_log(drop_log, Options()))]).splitlines()
+    for name in ("slope", "drag [1/m]", "fits", "95 % interval"):
+        assert name in header
+    assert "0.00 %" in line
+    paper = table([rowed(tune_log(drop_log, Options(method="brent")))]).splitlines()[0]
+    assert "slope" not in paper
+    assert "drag" not in paper
+
+
+def test_what_an_airless_simulator_needs_and_what_the_log_leaves_open_is_said(drop_log: Path):
+    tuning = tune_log(drop_log, Options())
+    record = record_of(tuning)
+    without = Equivalents(Equivalent(0.486, 1.05, (6.7,)), Equivalent(0.49, 1.0, (6.7,)))
+    said = replace(record, motion=Motion(equivalents=without, untold=("drag and slope: no",)))
+    words = table([replace(row_of(tuning, record), record=said)])
+    assert "  without air: 0.486 for the first rebound (1.1 % rms), 0.490 for all (1.0 %)" in words
+    assert "  drag and slope: no" in words
+    assert "without air" not in table([rowed(tuning)])  # the same there
+
+
+def test_a_suspects_interval_is_marked_as_such(drop_log: Path):
+    tuning = tune_log(drop_log, Options())
+    checks = tuple(
+        replace(check, passed=check.name != "foretells the rest") for check in tuning.checks
+    )
+    tuning = replace(tuning, checks=checks, verdict="suspect", reason="foretells the rest: no")
+    assert " (suspect)" in table([rowed(tuning)])
+    words = result_words(record_of(tuning), tuning.preset, "drop")
+    assert "95 % (suspect)" in words
+    assert words.index("foretells the rest") < words.index("| restitution")
+
+
+def test_an_interval_is_given_unless_a_check_doubts_the_value_itself(drop_log: Path):
+    tuning = tune_log(drop_log, Options())
+    for name, has in (
+        ("no samples missing", True),
+        ("first flight seen", True),
+        ("simulation fits", False),
+        ("gravity", False),
+    ):
+        assert name in {check.name for check in tuning.checks}
+        checks = tuple(replace(check, passed=check.name != name) for check in tuning.checks)
+        doubted = replace(tuning, checks=checks, verdict="suspect", reason=name)
+        assert (doubted.interval95 is not None) == has, name

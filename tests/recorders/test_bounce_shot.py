@@ -15,7 +15,7 @@ from recorders.simulators.shot.contact import BallStates, Rim, collide
 from recorders.simulators.shot.flight import fly
 from recorders.simulators.shot.rig import Hoop, Plane, Release, ShotBall, ShotRig
 from recorders.simulators.shot.rig_file import read_rig, rig_text
-from recorders.simulators.shot.speed_law import SpeedLaw
+from recorders.simulators.speed_law import SpeedLaw
 from tests.conftest import Command
 from tunenet_logs.errors import UsageError
 from tunenet_logs.reader import read_episode
@@ -50,7 +50,7 @@ def test_without_air_it_flies_on_the_parabola_of_the_closed_form(restitution: fl
 
 def test_the_air_slows_it_as_an_ode_solver_says():
     flights = passes(RIG, SpeedLaw(0.7), np.array([0.6]), np.zeros(1))
-    drag = RIG.ball.drag_1_m
+    drag = RIG.ball.air_drag_1_m
     assert drag == pytest.approx(0.5 * 1.2 * 0.47 * np.pi * 0.03**2 / 0.040)
 
     def motion(_: float, state: np.ndarray) -> list[float]:
@@ -273,3 +273,35 @@ def test_a_value_that_no_shot_has_is_refused():
         BounceShot(RIG, 0.4).rollout({"restitution": 1.2})
     with pytest.raises(UsageError, match="height_m nan"):
         BounceShot(RIG, float("nan"))
+
+
+def test_each_ball_may_have_a_drag_of_its_own():
+    heights, drags = np.full(3, 0.6), np.array([0.0, 0.02, 0.3])
+    together = passes(RIG, SpeedLaw(0.7), heights, np.zeros(3), drags).offset_m[:, 0]
+    alone = [
+        passes(RIG.with_drag(drag), SpeedLaw(0.7), heights[:1], np.zeros(1)).offset_m[0, 0]
+        for drag in drags.tolist()
+    ]
+    assert together == pytest.approx(alone, abs=1e-9)
+    assert together[0] > together[1] > together[2]
+
+
+def test_a_measured_drag_replaces_that_of_size_and_mass(tmp_path: Path):
+    path = tmp_path / "rig.yaml"
+    path.write_text("ball: {mass_kg: null, drag_1_m: 0.13}")
+    rig = read_rig(path)
+    assert rig.ball.air_drag_1_m == 0.13
+    path.write_text(rig_text(rig))
+    assert read_rig(path) == rig
+    assert NO_AIR.ball.air_drag_1_m == 0
+    with pytest.raises(UsageError, match=r"ball.drag_1_m -1 is not a number"):
+        RIG.with_drag(-1.0)
+
+
+def test_the_recorded_shot_keeps_slope_and_drag(command: Command, tmp_path: Path):
+    path = tmp_path / "shot.mcap"
+    words = ("--restitution", 0.7, "--slope", 0.1, "--drag", 0.05, "--height", 0.5)
+    result = command("tunenet-record", "--simulate", "bounce-shot", *words, "-o", path)
+    assert result.returncode == 0, result.stderr
+    truth = read_episode(path).info.truth
+    assert (truth["restitution_slope"], truth["drag"]) == (0.1, 0.05)

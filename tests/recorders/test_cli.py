@@ -26,7 +26,7 @@ def test_records_what_was_asked_for(process: Command, tmp_path: Path):
     assert episode.signals["/ball/pose"].rate_hz == pytest.approx(120)
     assert np.all(heights[:60] == 1.42)
     assert heights[75] < 1.4
-    assert episode.info.truth == {"restitution": 0.55}
+    assert episode.info.truth == {"restitution": 0.55, "restitution_slope": 0.0, "drag": 0.0}
     assert episode.info.rig == {"ball_diameter_m": 0.04, "drop_height_m": 1.4}
     assert episode.info.counts == {"captured": 300, "dropped": 0, "written": 300}
 

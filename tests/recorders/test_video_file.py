@@ -94,6 +94,24 @@ def test_frames_keep_their_order_and_times(
     assert f"{len(ticks)} frames captured, {len(ticks)} written, 0 dropped" in out
 
 
+def test_what_a_phone_cut_off_is_not_shown_and_shifts_no_stamp(command: Command, tmp_path: Path):
+    """It cuts without compressing anew: the pictures stay, those before the cut unshown."""
+    whole, cut = write_video(tmp_path / "a.mp4", UNEVEN), tmp_path / "cut.mp4"
+    with av.open(str(whole)) as source, av.open(str(cut), "w") as container:
+        stream = container.add_stream_from_template(source.streams.video[0])
+        for packet in source.demux(video=0):
+            if packet.dts is not None and packet.pts is not None and packet.time_base is not None:
+                moved = round(35 / 600 / packet.time_base)
+                packet.pts, packet.dts = packet.pts - moved, packet.dts - moved
+                packet.stream = stream
+                container.mux(packet)
+    _, frames, _ = recorded(command, cut)
+    assert [number_in(frame.decode()) for frame in frames] == list(range(3, len(UNEVEN)))
+    stamps_ns = np.array([frame.stamp_ns for frame in frames])
+    assert np.allclose(stamps_ns, (np.array(UNEVEN[3:]) - 35) / 600 * 1e9, atol=2, rtol=0)
+    assert read_episode(cut).channels[0].messages == len(frames)
+
+
 @pytest.mark.parametrize("name", ["a.avi", "a.mkv"])
 def test_a_cameras_own_jpegs_stay_byte_for_byte(command: Command, tmp_path: Path, name: str):
     _, frames, _ = recorded(command, write_jpegs(tmp_path / name, 40))
@@ -251,3 +269,24 @@ def test_pictures_behind_damaged_ones_keep_their_times(tmp_path: Path):
     path.write_bytes(data)
     left = stamps_ns()
     assert left == {number: whole[number] for number in range(60) if not 22 <= number < 30}
+
+
+def test_pictures_before_a_phones_cut_are_none(tmp_path: Path):
+    """They stay in the file, for later ones are made from them; its edit list hides them."""
+    whole, cut = write_video(tmp_path / "a.mp4", CONSTANT), tmp_path / "b.mp4"
+    with (
+        av.open(str(whole)) as source,
+        av.open(str(cut), "w", options={"avoid_negative_ts": "disabled"}) as target,
+    ):
+        stream = target.add_stream_from_template(source.streams.video[0])
+        for packet in source.demux(video=0):
+            if packet.pts is None or packet.dts is None:
+                continue
+            shift = int(10 * 10 / 600 / packet.time_base)
+            packet.pts, packet.dts = packet.pts - shift, packet.dts - shift
+            packet.stream = stream
+            target.mux(packet)
+    video = open_video(cut)
+    frames = list(video.frames())
+    assert len(video.stamps_ns) == len(frames) == 50
+    assert [number_in(frame.decode()) for frame in frames] == list(range(10, 60))

@@ -20,6 +20,9 @@ class ToyBallWorld:
         self._height_m, self._speed_m_s = self.radius_m + gap_m, 0.0
         self._restitution = restitution
 
+    def set_restitution(self, restitution: float) -> None:
+        self._restitution = restitution
+
     def set_speed(self, speed_m_s: float) -> None:
         self._speed_m_s = speed_m_s
 

@@ -91,11 +91,7 @@ class Video:
 
     def _stored_jpegs(self) -> Iterator[Frame]:
         with _opened(self.path) as container:
-            packets = (
-                packet
-                for packet in container.demux(_video_stream(container, self.path))
-                if packet.size and packet.pts is not None
-            )
+            packets = filter(_is_shown, container.demux(_video_stream(container, self.path)))
             for stamp_ns, packet in zip(self.stamps_ns.tolist(), packets, strict=False):
                 yield Frame(stamp_ns, "jpeg", bytes(packet))
 
@@ -113,11 +109,7 @@ def open_video(path: Path, filmed_hz: float | None = None) -> Video:
     with _opened(path) as container:
         stream = _video_stream(container, path)
         tags = {**stream.metadata, **container.metadata}
-        ticks = sorted(
-            packet.pts
-            for packet in container.demux(stream)
-            if packet.size and packet.pts is not None
-        )
+        ticks = sorted(packet.pts for packet in filter(_is_shown, container.demux(stream)))
         base, codec = stream.time_base, stream.codec_context.name
     if not ticks or base is None:
         raise LogError(f"{path}: holds no frame with a time; convert it to .mp4 first")
@@ -212,6 +204,15 @@ def _opened(path: Path) -> Iterator[InputContainer]:
         raise LogError(f"{path}: is no video that can be read ({reason})") from error
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+def _is_shown(packet: Any) -> bool:
+    """Whether a packet holds a picture that a player shows.
+
+    A phone that cuts a film leaves out the pictures before the cut by the file's edit list, but
+    keeps those that later ones are made from.
+    """
+    return bool(packet.size) and packet.pts is not None and not packet.is_discard
 
 
 def _video_stream(container: InputContainer, path: Path) -> Any:

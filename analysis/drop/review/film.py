@@ -8,8 +8,9 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from analysis.drop.detection import FilmDetection
 from analysis.drop.film import FilmedDrop
-from analysis.drop.review.review_data import ReviewData
+from analysis.drop.review.review_data import ReviewData, begin_s
 from analysis.record import Tuning
 from analysis.review.drawing import OBSERVED, Color, at_seconds, screen_radius
 from analysis.review.pictures import reduced, send_pictures
@@ -51,26 +52,21 @@ def log_film(
         Its view, opened at the ball's way, and that view's width over its height.
     """
     film: FilmedDrop = tuning.detection.film
-    _log_pictures(stream, tuning, film)
-    seconds = film.drop.seconds
-    observed = film.track.places_px[film.used]
-    radii = film.track.radius_px[film.used]
-    _log_balls(stream, "film/observed", seconds, observed, radii, OBSERVED, 1.6)
-    begin = np.searchsorted(seconds, seconds - _TRAIL_S)
-    trails = [observed[first : index + 1] for index, first in enumerate(begin)]
-    style = rr.LineStrips2D.from_fields(
-        colors=[(*OBSERVED, 150)], radii=screen_radius(0.8), draw_order=8.0
-    )
-    stream.log("film/trail", style, static=True)
-    columns = rr.LineStrips2D.columns(strips=[[trail] for trail in trails])
-    stream.send_columns("film/trail", indexes=[at_seconds(seconds)], columns=columns)
+    shown = film.drop.seconds >= begin_s(tuning.detection)
+    first_ns, last_ns = film.track.stamps_ns[film.used][shown][[0, -1]].tolist()
+    log_pictures(stream, tuning, tuning.detection, (first_ns, last_ns))
+    seconds = film.drop.seconds[shown]
+    observed = film.track.places_px[film.used][shown]
+    radii = film.track.radius_px[film.used][shown]
+    log_balls(stream, "film/observed", seconds, observed, radii, OBSERVED, 1.6)
+    log_trail(stream, seconds, observed)
     _log_path(stream, film, data)
     usual = np.full(len(seconds), float(np.nanmedian(radii)))
     for k, curve in enumerate(data.simulated):
         width = 1.8 if k == len(data.simulated) - 1 else 1.0
         heights = np.interp(seconds, curve.seconds, curve.heights_m) / data.drop_height_m
         positions = film_positions(film, seconds, heights, data.impacts_s)
-        _log_balls(stream, f"film/k{k}", seconds, positions, usual, curve.color, width)
+        log_balls(stream, f"film/k{k}", seconds, positions, usual, curve.color, width)
     return _view(film, observed, len(data.simulated))
 
 
@@ -91,7 +87,19 @@ def _view(film: FilmedDrop, observed_px: Array, count: int) -> tuple[rrb.View, f
     return view, aspect
 
 
-def _log_balls(
+def log_trail(stream: rr.RecordingStream, seconds: Array, places_px: Array) -> None:
+    """What the ball has just come along."""
+    begin = np.searchsorted(seconds, seconds - _TRAIL_S)
+    trails = [places_px[first : index + 1] + 0.5 for index, first in enumerate(begin)]
+    style = rr.LineStrips2D.from_fields(
+        colors=[(*OBSERVED, 150)], radii=screen_radius(0.8), draw_order=8.0
+    )
+    stream.log("film/trail", style, static=True)
+    columns = rr.LineStrips2D.columns(strips=[[trail] for trail in trails])
+    stream.send_columns("film/trail", indexes=[at_seconds(seconds)], columns=columns)
+
+
+def log_balls(
     stream: rr.RecordingStream,
     entity: str,
     seconds: Array,
@@ -100,7 +108,10 @@ def _log_balls(
     color: Color,
     width: float,
 ) -> None:
-    """A circle around the ball at each time, of a line `width` wide: a disc would hide it."""
+    """A circle around the ball at each time, of a line `width` wide: a disc would hide it.
+
+    None where its place is not known (NaN).
+    """
     style = rr.LineStrips2D.from_fields(
         colors=[color], radii=screen_radius(width / 2), draw_order=10.0 + width
     )
@@ -110,19 +121,22 @@ def _log_balls(
     drawn_px = np.maximum(radii_px, _LEAST_RADIUS_PX)
     # Rerun's (0, 0) is a corner of the first pixel, ours its middle.
     strips = positions_px[:, None] + drawn_px[:, None, None] * circle + 0.5
-    columns = rr.LineStrips2D.columns(strips=[[strip] for strip in strips])
+    columns = rr.LineStrips2D.columns(
+        strips=[[strip] if np.isfinite(strip).all() else [] for strip in strips]
+    )
     stream.send_columns(entity, indexes=[at_seconds(seconds)], columns=columns)
 
 
-def _log_pictures(stream: rr.RecordingStream, tuning: Tuning, film: FilmedDrop) -> None:
-    """The pictures of the drop as they were recorded; bare pixels, or far too many, reduced."""
+def log_pictures(
+    stream: rr.RecordingStream, tuning: Tuning, found: FilmDetection, span_ns: tuple[int, int]
+) -> None:
+    """The pictures of this time as they were recorded; bare pixels, or far too many, reduced."""
     assert tuning.episode is not None
-    stamps = film.track.stamps_ns[film.used]
-    taken_ns = tuning.detection.taken_ns
     shown: list[Frame] = []
-    for recorded in readable_frames(tuning.episode, tuning.detection.topic):
-        frame = replace(recorded, stamp_ns=taken_ns.get(recorded.stamp_ns, recorded.stamp_ns))
-        if not stamps[0] <= frame.stamp_ns <= stamps[-1]:
+    for recorded in readable_frames(tuning.episode, found.topic):
+        stamp_ns = found.taken_ns.get(recorded.stamp_ns, recorded.stamp_ns)
+        frame = replace(recorded, stamp_ns=stamp_ns)
+        if not span_ns[0] <= frame.stamp_ns <= span_ns[1]:
             continue
         try:
             picture = frame if frame.encoding == "jpeg" else reduced(frame)
@@ -133,8 +147,8 @@ def _log_pictures(stream: rr.RecordingStream, tuning: Tuning, film: FilmedDrop) 
     if sum(len(frame.data) for frame in shown) > _MOST_BYTES:
         shown = [reduced(frame) for frame in shown]
     if shown:
-        send_pictures(stream, shown, tuning.detection.start_ns)
-        scale = film.track.size_px[0] / shown[0].size_px()[0]
+        send_pictures(stream, shown, found.start_ns)
+        scale = found.track.size_px[0] / shown[0].size_px()[0]
         stream.log("film/picture", rr.Transform3D(scale=scale), static=True)
 
 
@@ -160,7 +174,7 @@ def _log_path(stream: rr.RecordingStream, film: FilmedDrop, data: ReviewData) ->
         names[k] += f": {bounce.restitution:.3f}"
     columns = rr.Points2D.columns(positions=positions, labels=names)
     nothing_yet = [0] + [1] * len(impacts)
-    index = at_seconds(np.concatenate([film.drop.seconds[:1], impacts]))
+    index = at_seconds(np.concatenate([data.observed.seconds[:1], impacts]))
     stream.send_columns("film/impact", indexes=[index], columns=columns.partition(nothing_yet))
 
 
@@ -173,10 +187,10 @@ def model_path(film: FilmedDrop, data: ReviewData) -> Array:
     count = _FINE * (len(curve.seconds) - 1) + 1
     fine = np.interp(np.arange(count) / _FINE, np.arange(len(curve.seconds)), curve.seconds)
     seconds = np.unique(np.concatenate([fine, impacts]))
-    known = np.concatenate([curve.seconds, impacts])
-    order = np.argsort(known, kind="stable")
-    levels = np.concatenate([curve.heights_m, np.zeros(len(impacts))])
-    heights = np.interp(seconds, known[order], levels[order]) / data.drop_height_m
+    if data.ball is None:
+        heights = np.interp(seconds, curve.seconds, curve.heights_m) / data.drop_height_m
+    else:
+        heights = data.ball.heights(seconds)
     return film_positions(film, seconds, heights, impacts) + 0.5
 
 
@@ -204,7 +218,7 @@ def film_positions(
     design = np.column_stack([np.interp(film.drop.seconds, knots, hat) for hat in hats])
     ways, *_ = np.linalg.lstsq(design, observed, rcond=None)
     across = np.interp(seconds, knots, ways)
-    along = film.projection.positions_px(heights)
+    along = film.projection.positions(heights, seconds)
     return np.outer(-along, film.down_px) + np.outer(across, sideways)
 
 

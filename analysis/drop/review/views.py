@@ -9,10 +9,12 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from analysis.drop.checks import MOST_EXCESS_PERCENT
 from analysis.drop.review.bounces import bounce_view, log_bounces
 from analysis.drop.review.film import log_film
 from analysis.drop.review.review_data import ReviewData, review_data
 from analysis.record import Tuning
+from analysis.report import markdown_table
 from analysis.review.drawing import (
     GROUND,
     ITERATION,
@@ -31,19 +33,26 @@ from analysis.review.drawing import (
     ticks,
 )
 
-_MANY = 400
+_MANY = 200
 """Samples above which dots would hide the lines."""
 
 _MM = 1000.0
 """Millimetres in a metre: an axis does not show numbers as small as residuals in m."""
 
-_USUAL, _HEADROOM = 0.98, 1.8
+_USUAL, _HEADROOM = 0.98, 1.3
 """Quantile of the result's residuals that their axis must show, and room around it, as a factor."""
 
-_LEAST_REACH = 0.002
-"""Drop heights that the axis of residuals shows at least: less would magnify mere noise."""
+_ROUND = (1.0, 2.0, 5.0)
+"""Digits of an axis's ends, so that its ticks are round."""
+
+_MARGIN = 1.08
+"""Room beyond an axis's ends, so that these have their figures too."""
+
+_BESIDE = 1.3
+"""How much longer than the curves their axis is, so that the legend stands beside them."""
 
 _IMPACT: Color = (255, 90, 90)
+_LIMIT: Color = (190, 70, 70)
 _TABLE: Color = (70, 70, 78)
 
 _BALL = 0.045
@@ -66,12 +75,12 @@ def log_drop(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
         parameter="restitution",
         unit="1",
         names=tuple(curve.name for curve in data.simulated),
-        values=tuple(curve.value for curve in data.simulated),
+        values=tuple(next(iter(curve.values.values())) for curve in data.simulated),
         colors=tuple(curve.color for curve in data.simulated),
         span=(0.0, 1.0),
         interval95=data.interval95,
     )
-    height_view, residual_view = _log_plots(stream, data)
+    height_view, residual_view = _log_plots(stream, data, has_legend=tuning.detection.film is None)
     curves = rrb.Vertical(
         _log_scene(stream, data), height_view, residual_view, row_shares=[4, 4, 3]
     )
@@ -102,8 +111,13 @@ def log_drop(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
     return rrb.Tabs(overlay, scrub, active_tab=0)
 
 
-def _log_plots(stream: rr.RecordingStream, data: ReviewData) -> tuple[rrb.View, rrb.View]:
-    """Observed dots under the lines of all iterations, and the residuals, over the log's time."""
+def _log_plots(
+    stream: rr.RecordingStream, data: ReviewData, *, has_legend: bool
+) -> tuple[rrb.View, rrb.View]:
+    """Observed dots under the lines of all iterations, and the residuals, over the log's time.
+
+    Beside a video there is no room for a legend; the balls in 3D have the same colours.
+    """
     for k, (curve, residual) in enumerate(zip(data.simulated, data.residuals, strict=True)):
         style = rr.SeriesLines(
             colors=[curve.color],
@@ -125,23 +139,52 @@ def _log_plots(stream: rr.RecordingStream, data: ReviewData) -> tuple[rrb.View, 
     stream.log("height/impact", mark, static=True)
     send_scalars(stream, "height/impact", data.impacts_s, np.zeros(len(data.impacts_s)))
     height_m = data.drop_height_m
+    first_s, beside = float(data.observed.seconds[0]), _BESIDE if has_legend else 1.0
+    shown = rrb.TimeAxis(
+        view_range=rr.TimeRange(
+            start=rrb.TimeRangeBoundary.absolute(seconds=first_s),
+            end=rrb.TimeRangeBoundary.absolute(seconds=first_s + beside * (data.seen_s - first_s)),
+        )
+    )
     height_view = rrb.TimeSeriesView(
         origin="/height",
         name="height above the table [m]",
+        axis_x=shown,
         axis_y=rrb.ScalarAxis(range=(-0.05 * height_m, 1.1 * height_m)),
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=has_legend),
     )
-    # Scaled to the result's residuals: those of the guesses before it run off the chart.
-    off = np.abs(data.residuals[-1].heights_m)
-    usual = float(np.quantile(off, _USUAL)) if len(off) else 0.0
-    reach_mm = _MM * max(_HEADROOM * usual, _LEAST_REACH * height_m)
+    limit_mm = _MM * MOST_EXCESS_PERCENT / 100 * height_m
+    _log_limit(stream, data, limit_mm)
+    reach_mm = _reach_mm(data, limit_mm)
     residual_view = rrb.TimeSeriesView(
         origin="/residual",
-        name=f"residual: simulated - observed [mm], axis to ±{reach_mm:.2g}",
-        axis_y=rrb.ScalarAxis(range=(-reach_mm, reach_mm)),
+        name=f"residual: simulated - observed [mm], red ±{limit_mm:.2g}: {MOST_EXCESS_PERCENT:g} %",
+        axis_x=shown,
+        axis_y=rrb.ScalarAxis(range=(-_MARGIN * reach_mm, _MARGIN * reach_mm)),
         plot_legend=rrb.PlotLegend(visible=False),
     )
     return height_view, residual_view
+
+
+def _log_limit(stream: rr.RecordingStream, data: ReviewData, limit_mm: float) -> None:
+    """Two lines, between which a difference cannot be seen with the eye."""
+    ends_s = data.observed.seconds[[0, -1]]
+    style = rr.SeriesLines(
+        colors=[_LIMIT] * 2, names=["limit", "limit"], widths=[1.0] * 2, aggregation_policy="Off"
+    )
+    stream.log("residual/limit", style, static=True)
+    send_scalars(stream, "residual/limit", ends_s, np.array([[limit_mm, -limit_mm]] * 2))
+
+
+def _reach_mm(data: ReviewData, limit_mm: float) -> float:
+    """Round, and as far as the limit and the result's residuals go: earlier iterates run off."""
+    last = data.residuals[-1]
+    inside = (last.seconds >= data.release_s) & (last.seconds <= data.seen_s)
+    off_mm = _MM * np.abs(last.heights_m[inside])
+    usual_mm = float(np.quantile(off_mm, _USUAL)) if len(off_mm) else 0.0
+    wanted_mm = _HEADROOM * max(usual_mm, limit_mm)
+    power = 10.0 ** np.floor(np.log10(wanted_mm))
+    return float(next(one * power for one in (*_ROUND, 10.0) if one * power >= wanted_mm))
 
 
 def _log_scene(stream: rr.RecordingStream, data: ReviewData) -> rrb.View:
@@ -209,14 +252,10 @@ def _log_height_chart(stream: rr.RecordingStream, data: ReviewData) -> rrb.View:
     observed, *simulated = drawn
     dots = rr.Points2D(observed, colors=[OBSERVED], radii=screen_radius(1.8))
     stream.log("sheets/heights/observed", dots, static=True)
-    style = rr.LineStrips2D.from_fields(radii=screen_radius(1.2))
+    style = rr.LineStrips2D.from_fields(radii=screen_radius(0.8), draw_order=40.0)  # over dots
     stream.log("sheets/heights/simulated", style, static=True)
     stream.log("step", rr.TextDocument.from_fields(media_type="text/markdown"), static=True)
-    words = [
-        f"# k = {k}\n\nrestitution **{curve.value:.4f}**\n\n"
-        f"{1000 * float(np.sqrt(np.mean(curve.heights_m**2))):.2f} mm rms from the observed curve"
-        for k, curve in enumerate(data.residuals)
-    ]
+    words = [_step_words(k, data) for k in range(len(data.residuals))]
     for index, shown in by_iteration(len(simulated), float(data.observed.seconds[0])):
         strips = rr.LineStrips2D.columns(
             strips=[simulated[k] for k in shown], colors=[data.simulated[k].color for k in shown]
@@ -226,3 +265,21 @@ def _log_height_chart(stream: rr.RecordingStream, data: ReviewData) -> rrb.View:
         stream.send_columns("step", indexes=[index], columns=columns)
     title = "height above the table: observed (dots), simulated (line)"
     return chart_view("heights", title, _HEIGHTS_WIDTH)
+
+
+def _step_words(k: int, data: ReviewData) -> str:
+    """An iteration's vector, and how far its curve is from the observed one."""
+    curve = data.residuals[k]
+    inside = (curve.seconds >= data.release_s) & (curve.seconds <= data.seen_s)
+    rms_mm = _MM * float(np.sqrt(np.mean(curve.heights_m[inside] ** 2)))
+    rows = [
+        (name, f"**{value:.4f}**" + (" /m" if name == "drag" else ""))
+        for name, value in curve.values.items()
+    ]
+    return "\n\n".join(
+        [
+            f"# {curve.name}",
+            markdown_table(("parameter", "value"), rows),
+            f"{rms_mm:.2f} mm rms from the observed curve, from the release to the last bounce",
+        ]
+    )

@@ -12,9 +12,11 @@ import rerun.blueprint as rrb
 from analysis.campaign.build import Campaign
 from analysis.campaign.rates import ball_rates, overall_rates, restitutions_by_ball
 from analysis.result_files import replacing
-from analysis.review.campaign.attempt import attempt_view, film_view, log_attempts, overlay_view
+from analysis.review.campaign.attempt import attempt_view, log_attempts
 from analysis.review.campaign.charts import log_rates, log_restitutions
+from analysis.review.campaign.film import film_view
 from analysis.review.campaign.lanes import lane_view, log_lanes
+from analysis.review.campaign.overlay import overlay_view
 from analysis.review.campaign.times import ATTEMPT, slots_of
 from analysis.review.campaign.words import campaign_words
 

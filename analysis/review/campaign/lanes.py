@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from analysis.review.campaign.times import ATTEMPT, FILM, WALL, Slot
+from analysis.review.campaign.times import ATTEMPT, FILM, Slot, wall_column
 from analysis.review.drawing import FAILURE, MUTED, SUCCESS, Color, mixed
 from tunenet_logs.terminal import one_line
 
@@ -71,11 +70,12 @@ def log_lanes(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
         played |= {change.film_s: change.state for change in own}
         played[slots[-1].end_s] = None
         _send(stream, lane, rr.TimeColumn(FILM, duration=list(played)), list(played.values()))
-        timed = [(change.wall_ns, change.state) for change in own if change.wall_ns is not None]
-        if timed:
-            stamps = np.array([stamp_ns for stamp_ns, _ in timed], "datetime64[ns]")
-            index = rr.TimeColumn(WALL, timestamp=stamps)
-            _send(stream, lane, index, [state for _, state in timed])
+        clock: dict[int, str | None] = {
+            slot.begin_ns: None for slot in slots if slot.begin_ns is not None
+        }
+        clock |= {change.wall_ns: change.state for change in own if change.wall_ns is not None}
+        if clock:
+            _send(stream, lane, wall_column(list(clock)), list(clock.values()))
 
 
 def lane_view(name: str) -> rrb.View:
@@ -91,24 +91,21 @@ def _ball_colors(changes: Sequence[_LaneChange]) -> dict[str, Color]:
 
 def _changes(slot: Slot) -> Iterator[_LaneChange]:
     number, outcome = slot.attempt.number, slot.attempt.outcome
-    ended_ns = outcome.stamp_ns or None if outcome is not None else None
-    first_ns = slot.drops[0].drop.wall_ns if slot.drops else ended_ns
-    yield _LaneChange(LANES[0], one_line(slot.attempt.ball), number, slot.start_s, first_ns)
+    begin_ns, end_ns = slot.begin_ns, slot.end_ns
+    yield _LaneChange(LANES[0], one_line(slot.attempt.ball), number, slot.start_s, begin_ns)
     for index, shown in enumerate(slot.drops):
         state = shown.drop.state
         if index and state == "drop":
             state = "drop again"
-        yield _LaneChange(LANES[1], state, number, shown.start_s, shown.drop.wall_ns)
+        yield _LaneChange(LANES[1], state, number, shown.start_s, slot.drop_ns(shown))
     if not slot.drops:
-        yield _LaneChange(LANES[1], "no drop", number, slot.start_s, None)
-    used = slot.attempt.used
-    dropped_ns = used.wall_ns if used is not None else None
+        yield _LaneChange(LANES[1], "no drop", number, slot.start_s, begin_ns)
     tuned = "tuned" if slot.attempt.value is not None else "not tuned"
-    yield _LaneChange(LANES[2], tuned, number, slot.tuned_s, dropped_ns)
+    yield _LaneChange(LANES[2], tuned, number, slot.tuned_s, slot.drop_ns(slot.used))
     shot = "not shot" if outcome is None else "shot" if slot.attempt.was_shot else "given up"
-    yield _LaneChange(LANES[3], shot, number, slot.shot_s, ended_ns)
+    yield _LaneChange(LANES[3], shot, number, slot.shot_s, end_ns)
     word = "not told" if outcome is None else outcome.word
-    yield _LaneChange(LANES[4], word, number, slot.outcome_s, ended_ns)
+    yield _LaneChange(LANES[4], word, number, slot.outcome_s, end_ns)
 
 
 def _send(

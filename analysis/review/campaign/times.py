@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import rerun as rr
 
 from analysis.campaign.attempts import Attempt
@@ -17,7 +18,7 @@ FILM = "film_s"
 """The timeline that plays: all drops one after the other [s]."""
 
 WALL = "wall_clock"
-"""The timeline of when it was recorded, where that is known."""
+"""The timeline of when it was recorded; attempts of which that is not known are not on it."""
 
 _UNSEEN_S = 1.0
 """On `FILM`, of a drop without curves and pictures: long enough to read what it was."""
@@ -46,6 +47,16 @@ class Shown:
         """A time of the drop's own clock on `FILM`."""
         return self.start_s + second - self.zero_s
 
+    def wall_ns(self, second: float) -> int:
+        """A time of the drop's own clock on `WALL`; only where that clock is a wall clock's."""
+        assert self.drop.wall_ns is not None
+        return self.drop.wall_ns + round(second * 1e9)
+
+    @property
+    def begin_ns(self) -> int | None:
+        """Where it begins on `WALL`; None where its clock does not tell."""
+        return None if self.drop.wall_ns is None else self.wall_ns(self.zero_s)
+
 
 @dataclass(frozen=True, eq=False)
 class Slot:
@@ -55,12 +66,14 @@ class Slot:
         drops: in their order.
         start_s: where it begins on `FILM`.
         tuned_s: where its drops are over, on `FILM`.
+        begin_ns: where it begins on `WALL`; None where nothing of it has a wall clock.
     """
 
     attempt: Attempt
     drops: tuple[Shown, ...]
     start_s: float
     tuned_s: float
+    begin_ns: int | None
 
     @property
     def shot_s(self) -> float:
@@ -77,10 +90,34 @@ class Slot:
         """Where the next attempt begins."""
         return self.tuned_s + 4 * _STEP_S
 
+    @property
+    def used(self) -> Shown | None:
+        """The drop that the shot was tuned from, or the last that was tried."""
+        return self.drops[-1] if self.drops else None
+
+    def is_on_wall(self, shown: Shown) -> bool:
+        """Whether one of its drops happened on `WALL` within this attempt."""
+        if shown.begin_ns is None or self.begin_ns is None:
+            return False
+        return shown.begin_ns >= self.begin_ns
+
+    def drop_ns(self, shown: Shown | None) -> int | None:
+        """Where one of its drops stands on `WALL`: where it happened, else where this begins."""
+        return shown.begin_ns if shown and self.is_on_wall(shown) else self.begin_ns
+
+    @property
+    def end_ns(self) -> int | None:
+        """Where shot and outcome stand on `WALL`."""
+        outcome = self.attempt.outcome
+        if self.begin_ns is None or outcome is None:
+            return self.begin_ns
+        return max(self.begin_ns, outcome.stamp_ns)
+
 
 def slots_of(attempts: Sequence[Attempt]) -> tuple[Slot, ...]:
     """The attempts one after the other."""
     slots: list[Slot] = []
+    begun: set[int] = set()
     at_s = 0.0
     for attempt in attempts:
         start_s = at_s
@@ -89,17 +126,61 @@ def slots_of(attempts: Sequence[Attempt]) -> tuple[Slot, ...]:
             first_s, last_s = _span(drop)
             shown.append(Shown(attempt, drop, at_s, first_s, at_s + last_s - first_s))
             at_s = shown[-1].end_s
-        slots.append(Slot(attempt, tuple(shown), start_s, at_s))
+        begin_ns = _begin_ns(attempt, shown, begun)
+        begun |= set() if begin_ns is None else {begin_ns}
+        slots.append(Slot(attempt, tuple(shown), start_s, at_s, begin_ns))
         at_s = slots[-1].end_s
     return tuple(slots)
 
 
-def at_attempts(slots: Sequence[Slot]) -> list[rr.TimeColumn]:
-    """Indexes of something that is shown from the beginning of each attempt on."""
-    return [
-        rr.TimeColumn(ATTEMPT, sequence=[slot.attempt.number for slot in slots]),
-        rr.TimeColumn(FILM, duration=[slot.start_s for slot in slots]),
+def _begin_ns(attempt: Attempt, drops: Sequence[Shown], begun: set[int]) -> int | None:
+    """That of its first drop; of a drop that another attempt was begun with, that of its end."""
+    known = [shown.begin_ns for shown in drops if shown.begin_ns is not None]
+    ended_ns = (attempt.outcome and attempt.outcome.stamp_ns) or None
+    if known and (min(known) not in begun or ended_ns is None):
+        return min(known)
+    return ended_ns
+
+
+Begun = tuple[Slot, Shown | None]
+"""What is shown from a moment on: an attempt, and which of its drops; None where it has none."""
+
+
+def beginnings(slots: Sequence[Slot]) -> list[tuple[str, rr.TimeColumn, list[Begun]]]:
+    """Of each timeline its name, its moments, and what each of them begins.
+
+    On `ATTEMPT` these are the attempts, each with its last drop; on the others every drop. A view
+    that has a row, maybe an empty one, at each of them never shows what is another's. `WALL` is
+    left out where nothing has a wall clock.
+    """
+    steps: dict[int, Begun] = {slot.attempt.number: (slot, slot.used) for slot in slots}
+    played: dict[float, Begun] = {}
+    clock: dict[int, Begun] = {}
+    for slot in slots:
+        for shown in slot.drops or (None,):
+            played[slot.start_s if shown is None else shown.start_s] = slot, shown
+            if (begin_ns := slot.drop_ns(shown)) is not None:
+                clock[begin_ns] = slot, shown
+    found = [
+        (ATTEMPT, rr.TimeColumn(ATTEMPT, sequence=list(steps)), list(steps.values())),
+        (FILM, rr.TimeColumn(FILM, duration=list(played)), list(played.values())),
     ]
+    if clock:
+        found.append((WALL, wall_column(list(clock)), list(clock.values())))
+    return found
+
+
+def moments(slot: Slot, shown: Shown, seconds: Sequence[float]) -> list[rr.TimeColumn]:
+    """The indexes of rows at these times of a drop's own clock, on each timeline that plays it."""
+    found = [rr.TimeColumn(FILM, duration=[shown.film_s(second) for second in seconds])]
+    if slot.is_on_wall(shown):
+        found.append(wall_column([shown.wall_ns(second) for second in seconds]))
+    return found
+
+
+def wall_column(stamps_ns: Sequence[int]) -> rr.TimeColumn:
+    """The index of rows at these times on `WALL`."""
+    return rr.TimeColumn(WALL, timestamp=np.array(stamps_ns, "datetime64[ns]"))
 
 
 def _span(drop: TunedDrop) -> tuple[float, float]:

@@ -33,12 +33,15 @@ class Bounce:
         slope: p of e_n = e_1 (v_n / v_1)^-p: how the restitution falls with the impact's speed.
         drag: quadratic drag, deceleration over speed squared, times the drop height.
         each: restitutions at the first impacts, where they follow no law.
+        constant_below: fraction of the first impact's speed below which the restitution no longer
+            changes with speed: a power law has no bound.
     """
 
     restitution: float
     slope: float = 0.0
     drag: float = 0.0
     each: tuple[float, ...] = ()
+    constant_below: float = 0.0
 
     def heights(self, places: Array) -> Array:
         """Heights u over contact.
@@ -81,7 +84,8 @@ class Bounce:
         starts, speeds, count = [start], [speed], 1
         while start <= last and count < _MOST_FLIGHTS and speed > _SLOWEST:
             lasted, impact = self.flight(speed) if has_drag else (speed, speed)
-            kept = each[count] if count < given else min(usual * (impact / first) ** power, 1.0)
+            ratio = max(impact / first, self.constant_below)
+            kept = each[count] if count < given else min(usual * ratio**power, 1.0)
             start += lasted
             speed = kept * impact
             starts.append(start)

@@ -96,13 +96,18 @@ class BulletBallWorld:
             ),
             physicsClientId=client,
         )
-        bullet.changeDynamics(
-            self._ball, -1, restitution=restitution, **self._body, physicsClientId=client
-        )
+        bullet.changeDynamics(self._ball, -1, **self._body, physicsClientId=client)
+        self.set_restitution(restitution)
         bullet.resetBasePositionAndOrientation(
             self._ball, [0, 0, self.radius_m + gap_m], [0, 0, 0, 1], physicsClientId=client
         )
         self.set_speed(0.0)
+
+    def set_restitution(self, restitution: float) -> None:
+        """See `BallWorld`."""
+        self._bullet.changeDynamics(
+            self._ball, -1, restitution=restitution, physicsClientId=self._client
+        )
 
     def set_speed(self, speed_m_s: float) -> None:
         """See `BallWorld`."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from recorders.simulators.shot.contact import BallStates, Board, Rim, Surface, collide
 from recorders.simulators.shot.rig import ShotRig
-from recorders.simulators.shot.speed_law import SpeedLaw
+from recorders.simulators.speed_law import SpeedLaw
 from tunenet_logs.arrays import Array
 
 Mask = NDArray[np.bool_]
@@ -69,6 +69,7 @@ def fly(
     shifts: Array,
     *,
     has_rim: bool,
+    drags_1_m: Array | None = None,
     step_s: float = STEP_S,
     keep: bool = False,
 ) -> Flights:
@@ -80,12 +81,15 @@ def fly(
         released: N balls at time 0; changed in place.
         shifts: added to each ball's restitution, shape (N,).
         has_rim: whether the rim is in the way.
+        drags_1_m: of each ball, shape (N,); the rig's ball's if None.
         step_s: between positions.
         keep: whether to return the positions.
     """
-    run = _Run(rig, law, released, shifts, has_rim)
+    if drags_1_m is None:
+        drags_1_m = np.full(len(shifts), rig.ball.air_drag_1_m)
+    run = _Run(rig, law, released, shifts, drags_1_m, has_rim)
     kept = [released.position_m.copy()] if keep else []
-    for _ in range(int(np.ceil(_longest_s(rig, released) / step_s))):
+    for _ in range(int(np.ceil(_longest_s(rig, released, drags_1_m) / step_s))):
         run.step(step_s)
         if keep:
             kept.append(released.position_m.copy())
@@ -101,11 +105,11 @@ def fly(
     )
 
 
-def _longest_s(rig: ShotRig, released: BallStates) -> float:
+def _longest_s(rig: ShotRig, released: BallStates, drags_1_m: Array) -> float:
     """How long a ball may take: by the fall, with the air, from the highest start."""
     low_m = min(_floor_m(rig), float(rig.touch_m[2]))
     fall_m = float(released.position_m[:, 2].max(initial=low_m)) - low_m
-    drag = rig.ball.drag_1_m
+    drag = float(drags_1_m.max(initial=0.0))
     fall_s = np.sqrt(2 * fall_m / rig.gravity_m_s2)
     if drag:
         lost = drag * fall_m
@@ -122,9 +126,16 @@ class _Run:
     """The shots under way."""
 
     def __init__(
-        self, rig: ShotRig, law: SpeedLaw, balls: BallStates, shifts: Array, has_rim: bool
+        self,
+        rig: ShotRig,
+        law: SpeedLaw,
+        balls: BallStates,
+        shifts: Array,
+        drags_1_m: Array,
+        has_rim: bool,
     ) -> None:
         self._rig, self._law, self._balls, self._shifts = rig, law, balls, shifts
+        self._drags_1_m, self._has_air = drags_1_m, bool(drags_1_m.any())
         self._board, self._rim, self._has_rim = Board(rig), Rim(rig), has_rim
         count = len(shifts)
         self._is_past_board = np.zeros(count, dtype=bool)
@@ -148,7 +159,7 @@ class _Run:
         """To the end of the step or the first impact in it; what is left then."""
         balls, rig = self._balls, self._rig
         start, speed = balls.position_m[going], balls.velocity_m_s[going]
-        end, faster = self.flown(start, speed, left)
+        end, faster = self.flown(going, start, speed, left)
         used, hit = left.copy(), np.zeros(len(going), dtype=int)
         surfaces: list[Surface] = [self._board, self._rim] if self._has_rim else [self._board]
         for number, surface in enumerate(surfaces, start=1):
@@ -158,13 +169,13 @@ class _Run:
             rows = np.flatnonzero(inside)
             if not len(rows):
                 continue
-            touched = self._touch_s(surface, start[rows], speed[rows], left[rows])
+            touched = self._touch_s(surface, going[rows], start[rows], speed[rows], left[rows])
             first = touched < used[rows]
             used[rows[first]], hit[rows[first]] = touched[first], number
         changed = np.flatnonzero(hit)
         if len(changed):
             end[changed], faster[changed] = self.flown(
-                start[changed], speed[changed], used[changed]
+                going[changed], start[changed], speed[changed], used[changed]
             )
         self._note(going, start, end, speed, faster, used)
         balls.position_m[going], balls.velocity_m_s[going] = end, faster
@@ -173,11 +184,13 @@ class _Run:
             self._bounce(going[hit == 2], self._rim, rig.hoop.friction)
         return left - used
 
-    def flown(self, position: Array, velocity: Array, seconds: Array) -> tuple[Array, Array]:
-        """Positions and velocities after a free flight, each of shape (N, 3)."""
-        drag, after = self._rig.ball.drag_1_m, seconds[:, None]
+    def flown(
+        self, which: NDArray[np.int64], position: Array, velocity: Array, seconds: Array
+    ) -> tuple[Array, Array]:
+        """Positions and velocities of these balls after a free flight, each of shape (N, 3)."""
+        drag, after = self._drags_1_m[which, None], seconds[:, None]
         gravity = np.array([0.0, 0.0, -self._rig.gravity_m_s2])
-        if not drag:
+        if not self._has_air:
             return position + after * (velocity + after / 2 * gravity), velocity + after * gravity
 
         def accelerated(speed: Array) -> Array:
@@ -191,16 +204,23 @@ class _Run:
         moved = after * velocity + after**2 / 6 * (one + two + three)
         return position + moved, velocity + after / 6 * (one + 2 * two + 2 * three + four)
 
-    def _touch_s(self, surface: Surface, start: Array, speed: Array, most: Array) -> Array:
+    def _touch_s(
+        self,
+        surface: Surface,
+        which: NDArray[np.int64],
+        start: Array,
+        speed: Array,
+        most: Array,
+    ) -> Array:
         """When balls touch that are outside at 0 and inside at `most` (false position, halved)."""
         low, high = np.zeros(len(most)), most.copy()
         above = np.maximum(surface.gaps_m(start), _OFF_M / 2)
-        below = surface.gaps_m(self.flown(start, speed, most)[0])
+        below = surface.gaps_m(self.flown(which, start, speed, most)[0])
         for turn in range(_ROUNDS):
             middle = (low + high) / 2
             if turn % 3:
                 middle = low + (high - low) * above / (above - below)
-            gap = surface.gaps_m(self.flown(start, speed, middle)[0])
+            gap = surface.gaps_m(self.flown(which, start, speed, middle)[0])
             is_out = gap > 0
             low, above = np.where(is_out, middle, low), np.where(is_out, gap, above)
             high, below = np.where(is_out, high, middle), np.where(is_out, below, gap)
@@ -246,7 +266,7 @@ class _Run:
         rows = np.flatnonzero((closing[0] < 0) & (closing[1] > 0))
         if len(rows):
             share = closing[0][rows] / (closing[0][rows] - closing[1][rows])
-            between = self.flown(start[rows], speed[rows], used[rows] * share)[0]
+            between = self.flown(going[rows], start[rows], speed[rows], used[rows] * share)[0]
             nearest[rows] = np.minimum(nearest[rows], self._rim.gaps_m(between))
         self.gap_m[going] = np.minimum(self.gap_m[going], nearest)
         level = self._rig.hoop.up_m

@@ -7,7 +7,7 @@ plane, y to the left, z up.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
@@ -18,12 +18,16 @@ from tunenet_logs.errors import UsageError
 
 Range = tuple[float, float]
 
+NULLABLE = ("ball.mass_kg", "ball.drag_1_m")
+"""What need not be known."""
+
 _LIMITS: dict[str, dict[str, Range]] = {
     "ball": {
         "radius_m": (0.002, 0.5),
         "mass_kg": (1e-4, 50.0),
         "drag_coefficient": (0.01, 3.0),
         "inertia_share": (0.2, 0.7),
+        "drag_1_m": (0.0, 10.0),
     },
     "plane": {
         "incline_deg": (0.0, 80.0),
@@ -52,20 +56,28 @@ class ShotBall:
 
     Attributes:
         radius_m: of the ball.
-        mass_kg: for the air's drag; None to leave the air out.
+        mass_kg: for the air's drag; None to leave the air out, unless `drag_1_m` is known.
         drag_coefficient: Cd; .47 is a smooth sphere's at these speeds.
         inertia_share: moment of inertia over m r^2: 2/5 if it is solid, 2/3 if it is a thin shell.
+        drag_1_m: deceleration by the air over speed squared, where it was measured; None to have it
+            from size, mass and coefficient.
     """
 
     radius_m: float = 0.03
     mass_kg: float | None = 0.040
     drag_coefficient: float = 0.47
     inertia_share: float = 0.4
+    drag_1_m: float | None = None
 
     @property
-    def drag_1_m(self) -> float:
-        """Deceleration by the air over speed squared [1/m]; 0 without a mass."""
-        return Ball(2 * self.radius_m, self.mass_kg, self.drag_coefficient).drag_1_m or 0.0
+    def air_drag_1_m(self) -> float:
+        """Deceleration by the air over speed squared [1/m], measured or not; 0 without a mass."""
+        return self.body.drag_1_m or 0.0 if self.drag_1_m is None else self.drag_1_m
+
+    @property
+    def body(self) -> Ball:
+        """Size and mass."""
+        return Ball(2 * self.radius_m, self.mass_kg, self.drag_coefficient)
 
 
 @dataclass(frozen=True)
@@ -178,9 +190,13 @@ class ShotRig:
             )
         _check_apart(self)
         try:
-            _ = self.ball.drag_1_m
+            _ = self.ball.body
         except UsageError as error:
             raise UsageError(f"ball.mass_kg: {error}") from error
+
+    def with_drag(self, drag_1_m: float) -> ShotRig:
+        """The same with this drag of the air on its ball [1/m]."""
+        return replace(self, ball=replace(self.ball, drag_1_m=drag_1_m))
 
     @property
     def touch_m(self) -> Array:
@@ -189,7 +205,7 @@ class ShotRig:
 
 
 def _check(name: str, value: float | None, limits: Range) -> None:
-    if value is None and name == "ball.mass_kg":
+    if value is None and name in NULLABLE:
         return
     low, high = limits
     if value is None or not (math.isfinite(value) and low <= value <= high):

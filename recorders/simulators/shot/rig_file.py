@@ -8,7 +8,7 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
-from recorders.simulators.shot.rig import Hoop, Plane, Release, ShotBall, ShotRig
+from recorders.simulators.shot.rig import NULLABLE, Hoop, Plane, Release, ShotBall, ShotRig
 from tunenet_logs.errors import UsageError
 from tunenet_logs.terminal import one_line, short_name
 
@@ -24,6 +24,7 @@ ball:
   mass_kg: {ball[mass_kg]}            # for the air's drag; null leaves the air out
   drag_coefficient: {ball[drag_coefficient]}
   inertia_share: {ball[inertia_share]}       # over m r^2: 0.4 solid, 0.667 a thin shell
+  drag_1_m: {ball[drag_1_m]}           # measured [1/m]; null: by size, mass and drag_coefficient
 plane:
   incline_deg: {plane[incline_deg]}        # from the horizontal, down towards the hoop
   downhill_m: {plane[downhill_m]}         # from the impact point to its lower edge, along its slope
@@ -46,8 +47,7 @@ gravity_m_s2: {gravity_m_s2}
 def rig_text(rig: ShotRig) -> str:
     """The rig as a file, with a word on each value."""
     told = asdict(rig)
-    if told["ball"]["mass_kg"] is None:
-        told["ball"]["mass_kg"] = "null"
+    told["ball"] = {key: "null" if one is None else one for key, one in told["ball"].items()}
     return _TEXT.format(**told)
 
 
@@ -113,7 +113,7 @@ def _mapping(told: Any, what: str, known: list[str]) -> dict[str, Any]:
 
 
 def _number(name: str, value: Any) -> float | None:
-    if value is None and name == "ball.mass_kg":
+    if value is None and name in NULLABLE:
         return None
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise UsageError(f"{name} {short_name(value)} is not a number")

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
+from analysis.campaign.tuned_drop import TunedDrop
 from analysis.cli.review import main
+from analysis.record import Curves
+from analysis.review.campaign.overlay import _Axes, _observed, _simulated
 from tests.analysis.campaign import campaigns
 from tests.analysis.campaign.campaigns import MINUTE_NS, START_NS
 from tests.analysis.drop.test_review import contents, verified
@@ -99,11 +103,76 @@ def test_each_attempt_has_its_curves_and_its_words(review: Path):
 
 def test_its_video_is_small_and_slow(review: Path):
     pictures = rows(review, "/film/picture", "film_s", "blob")
-    decoded = [decode_image(bytes(blob[0]), "jpeg") for _, blob in pictures if blob]
+    pictures = [
+        one for one, is_film in zip(pictures, filmed(review, "film_s"), strict=True) if is_film
+    ]
+    decoded = [decode_image(bytes(blob[0]), "jpeg") for _, blob in pictures]
     assert len(decoded) > 40
     assert {max(one.shape) for one in decoded} == {160}
-    at_s = np.array([time.total_seconds() for time, blob in pictures if blob])
+    at_s = np.unique([time.total_seconds() for time, _ in pictures])
     assert np.diff(at_s).min() > 0.9 / 30
+
+
+def shown(path: Path, entity: str, timeline: str, component: str) -> list[bool]:
+    """Whether something is to be seen, row by row."""
+    return [bool(value) for _, value in rows(path, entity, timeline, component)]
+
+
+def filmed(path: Path, timeline: str) -> list[bool]:
+    """Whether a picture of a drop is to be seen, row by row; a blank one is nearly black."""
+    pictures = [bytes(blob[0]) for _, blob in rows(path, "/film/picture", timeline, "blob")]
+    return [bool(np.median(decode_image(one, "jpeg")) > 30) for one in pictures]
+
+
+def test_no_attempt_shows_the_pictures_of_another(review: Path):
+    assert filmed(review, "attempt") == [True, False, False]
+    assert filmed(review, "wall_clock") == [True, False, False]
+    played = filmed(review, "film_s")
+    assert played[-3:] == [False] * 3  # two drops of the second attempt, one of the third
+    assert all(played[:-3])
+    dots = shown(review, "/sheets/overlay/now", "film_s", "positions")
+    assert not dots[-1]
+
+
+VIEWS = {
+    **dict.fromkeys(STATES, "state"),
+    "/sheets/overlay/observed": "positions",
+    "/sheets/overlay/simulated": "strips",
+    "/film/picture": "blob",
+    "/attempt": "text",
+}
+
+
+def test_each_view_has_data_on_every_timeline_from_its_beginning(review: Path):
+    timelines = {name for chunk in RrdReader(review).stream() for name in chunk.timeline_names}
+    assert timelines == {"attempt", "film_s", "wall_clock"}
+    for timeline in timelines:
+        begins = {
+            entity: rows(review, entity, timeline, component)[0][0]
+            for entity, component in VIEWS.items()
+        }
+        assert len(set(begins.values())) == 1, (timeline, begins)
+
+
+def test_an_outcome_without_a_drop_shows_no_others(tmp_path: Path):
+    campaigns.drop_at(tmp_path / "drop_1.mcap", START_NS)
+    campaigns.outcome(tmp_path, 1, drop_log="drop_1.mcap", stamp_ns=START_NS + MINUTE_NS)
+    campaigns.outcome(tmp_path, 2, stamp_ns=START_NS + 2 * MINUTE_NS)
+    assert main([str(tmp_path), "-o", str(tmp_path / "a.rrd"), "--quiet"]) == 0
+    for timeline in ("attempt", "film_s", "wall_clock"):
+        curves = shown(tmp_path / "a.rrd", "/sheets/overlay/observed", timeline, "positions")
+        assert curves == [True, False]
+    assert len(rows(tmp_path / "a.rrd", "/attempt", "wall_clock", "text")) == 2
+
+
+def test_two_shots_with_one_drop_are_both_on_the_wall_clock(tmp_path: Path):
+    campaigns.drop_at(tmp_path / "drop_1.mcap", START_NS)
+    for number in (1, 2):
+        stamp_ns = START_NS + number * MINUTE_NS
+        campaigns.outcome(tmp_path, number, drop_log="drop_1.mcap", stamp_ns=stamp_ns)
+    assert main([str(tmp_path), "-o", str(tmp_path / "a.rrd"), "--quiet"]) == 0
+    words = rows(tmp_path / "a.rrd", "/attempt", "wall_clock", "text")
+    assert ["attempt 1" in words[0][1][0], "attempt 2" in words[1][1][0]] == [True, True]
 
 
 def test_the_tables_hold_the_rates(reviewed: Reviewed):
@@ -119,7 +188,8 @@ def test_the_wall_clock_is_there_where_stamps_are(tmp_path: Path):
     campaigns.outcome(tmp_path, 1, drop_log="drop_1.mcap", stamp_ns=START_NS + MINUTE_NS)
     assert main([str(tmp_path), "-o", str(tmp_path / "a.rrd"), "--quiet"]) == 0
     ((begun, _),) = rows(tmp_path / "a.rrd", "/2_drop", "wall_clock", "state")
-    ((ended, _),) = rows(tmp_path / "a.rrd", "/5_outcome", "wall_clock", "state")
+    before, (ended, _) = rows(tmp_path / "a.rrd", "/5_outcome", "wall_clock", "state")
+    assert before == (begun, [])
     assert (ended - begun).total_seconds() == pytest.approx(60, abs=1)
 
 
@@ -171,3 +241,26 @@ def test_a_log_that_cannot_be_read_is_named_and_is_no_attempt(
     assert "nothing kept: 1" in told.err
     assert "0.85" in told.out
     verified(output)
+
+
+def test_an_attempt_tells_the_slope_and_drag_that_were_tuned(tmp_path: Path):
+    path = campaigns.drop(tmp_path / "drop_1.mcap").with_suffix(".json")
+    before = json.loads(path.read_text())["parameters"]
+    slope = {"value": 0.06, "interval95": [0.03, 0.09], "unit": "1"}
+    drag = {"value": 0.013, "interval95": None, "unit": "1/m"}
+    both = {"restitution_slope": slope, "drag": drag}
+    campaigns.told(path, parameters={"restitution": before["restitution"], **both})
+    assert main([str(tmp_path), "-o", str(tmp_path / "a.rrd"), "--quiet"]) == 0
+    words = rows(tmp_path / "a.rrd", "/attempt", "attempt", "text")[0][1][0]
+    assert "restitution slope 0.060 (95 %: 0.030 to 0.090)" in words
+    assert "drag 0.013 1/m\n" in words
+
+
+def test_samples_that_are_not_known_are_left_out_of_the_curves():
+    observed = np.array([1.0, np.nan, 0.5, 0.4, 0.2, 0.1])
+    simulated = np.array([np.nan, 1.0, 0.8, np.nan, 0.5, 0.4])
+    overlay = Curves(0, np.arange(6.0), observed, simulated)
+    drop = TunedDrop(None, None, "a", "gel", "ok", "", 0.7, None, overlay)
+    axes = _Axes(5.0, 1.0)
+    assert len(_observed(drop, axes)) == 5
+    assert [len(stretch) for stretch in _simulated(drop, axes)] == [2, 2]

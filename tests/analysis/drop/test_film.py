@@ -7,8 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from analysis.drop.bounce_model import BounceSamples
+from analysis.drop.checks import recording_checks
 from analysis.drop.film import canonical_film, find_filmed_drop
-from analysis.drop.film_checks import film_checks, hop_check, scale_checks
+from analysis.drop.film_checks import film_checks, hop_check, scale_checks, seconds_out_of_view
+from analysis.drop.film_reasons import free_flight, why_not
 from analysis.tracking.track import Track
 from recorders.simulators.closed_form.bounce import Bounce
 from tests.strangers import bounce_heights
@@ -128,8 +131,8 @@ def test_a_ball_is_one_as_far_as_one_law_goes(
 
 def test_where_heights_are_in_the_picture_and_back():
     fit = find_filmed_drop(filmed(0.6, perspective=0.4), 0).projection
-    heights = np.linspace(-0.02, 1, 30)
-    assert fit.heights(fit.positions_px(heights)) == pytest.approx(heights, abs=1e-9)
+    heights, seconds = np.linspace(-0.02, 1, 30), np.linspace(0, 1, 30)
+    assert fit.heights(fit.positions(heights, seconds), seconds) == pytest.approx(heights, abs=1e-9)
 
 
 def flight_only() -> np.ndarray:
@@ -142,7 +145,8 @@ def flight_only() -> np.ndarray:
     ("heights", "reason"),
     [
         (np.full(100, 0.5), "moves by only"),
-        (flight_only(), "no bounce is seen"),
+        (flight_only(), "no bounce is seen: the ball never falls onto anything"),
+        (0.5 + 0.5 * np.sin(np.arange(300) / 20), "no bounce is seen|no free fall"),
         (np.linspace(1, 0, 100), "no bounce is seen|no free fall|no drop"),
         (0.5 + 0.5 * np.sin(np.arange(150) / 9), "no bounce|no free fall|no drop"),
     ],
@@ -150,6 +154,55 @@ def flight_only() -> np.ndarray:
 def test_what_is_no_drop_is_named(heights: np.ndarray, reason: str):
     with pytest.raises(NotFoundError, match=reason):
         find_filmed_drop(track_of(pixels(heights, 120, 0), 60), 0)
+
+
+def test_what_moves_across_the_picture_alone_rolls_or_is_seen_from_above():
+    track = track_of(np.full(60, 200.0), 60, sideways=np.linspace(20, 300, 60))
+    with pytest.raises(NotFoundError, match=r"280 px across .* rolls, or is filmed from above"):
+        find_filmed_drop(track, 0)
+
+
+def test_a_ball_that_is_carried_is_told_so():
+    """Up and down in a hand, with turns that are no bounces."""
+    times = np.arange(400) / 60
+    heights = 0.5 + 0.3 * np.sin(2 * times) + 0.15 * np.sin(4 * times)
+    track = track_of(pixels(heights, 120, 0), 60)
+    assert free_flight(track).is_carried
+    assert not free_flight(filmed(0.7)).is_carried
+    with pytest.raises(NotFoundError, match=r"the ball hardly flies, it is carried"):
+        find_filmed_drop(track, 0)
+
+
+def test_a_contact_out_of_view_is_told_so():
+    track = filmed(0.7)
+    places = track.places_px.copy()
+    places[places[:, 1] > 160] = np.nan
+    track = replace(track, places_px=places, size_px=(320, 165))
+    seconds = (track.stamps_ns[track.found] * 1e-9).astype(np.float64)
+    whole = BounceSamples(seconds, -places[track.found][:, 1], noise=0.1)
+    impact = int(np.diff(seconds).argmax())
+    assert "where it hits is not in view" in why_not(track, whole, [impact], fitted=True)
+    tall = replace(track, size_px=(320, 400))
+    assert "not in view" not in why_not(tall, whole, [impact], fitted=True)
+
+
+def test_a_ball_cut_off_at_its_apex_leaves_the_rest():
+    """The picture ends where the first bounce is two thirds of its height."""
+    track = filmed(0.9, rate_hz=120, seconds=3.5)
+    places = track.places_px.copy()
+    top = 200 - 0.81 * 120 * 0.65
+    after = np.arange(len(places)) > 100
+    places[after & (places[:, 1] < top)] = np.nan
+    places[:, 1] -= top - 5
+    found = find_filmed_drop(replace(track, places_px=places), 0)
+    assert found.projection.bounce.restitution == pytest.approx(0.9, abs=0.01)
+    checks = {one.name: one.passed for one in film_checks(found)}
+    assert checks["stays in view"]
+    excused_s = seconds_out_of_view(found)
+    assert len(excused_s) > 30
+    kept = recording_checks(found.drop, np.zeros((2, 1)), 0.4, excused_s)
+    assert all(one.passed for one in kept)
+    assert not all(one.passed for one in recording_checks(found.drop, np.zeros((2, 1)), 0.4))
 
 
 def failed(track: Track) -> set[str]:
@@ -173,6 +226,24 @@ def test_a_camera_that_repeats_pictures_is_seen():
     places = track.places_px.copy()
     places[1::2] = places[::2][: len(places[1::2])]
     assert "pictures differ" in failed(replace(track, places_px=places))
+
+
+def test_pictures_that_were_dropped_unevenly_are_missed():
+    """A film of 30 Hz, copied at 25: every sixth picture is lost, and no stamp tells of it."""
+    track = filmed(0.8, gap_m=1.5, rate_hz=30, seconds=3.0)
+    kept = np.flatnonzero(np.arange(len(track.stamps_ns)) % 6 != 4)
+    stamps_ns = np.arange(len(kept)) * 40_000_000
+    copied = replace(
+        track,
+        stamps_ns=stamps_ns,
+        places_px=track.places_px[kept],
+        radius_px=track.radius_px[kept],
+        confidence=track.confidence[kept],
+    )
+    assert "no pictures missing" in failed(copied)
+    assert "no pictures missing" not in failed(track)
+    stamped = replace(copied, stamps_ns=track.stamps_ns[kept])
+    assert "no pictures missing" not in failed(stamped)
 
 
 def test_a_frame_rate_that_cannot_be_is_seen_where_a_length_is_known():

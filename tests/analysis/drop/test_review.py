@@ -12,11 +12,13 @@ from mcap.writer import Writer
 from rerun.chunk import RrdReader
 
 from analysis.drop.review.film import film_positions
-from analysis.drop.review.review_data import review_data
+from analysis.drop.review.review_data import review_data, values_words
 from analysis.record import Tuning, record_of
 from analysis.review.tuning_review import write_review
 from analysis.selection import Options
-from analysis.tuning import tune_log
+from analysis.tuning import tune_episode, tune_log
+from recorders.simulators.contact import CALIBRATED
+from recorders.simulators.drop import DropRig, DropSimulator
 from tests.conftest import BIN, record
 from tests.strangers import Stranger, write_poses
 from tunenet_logs.episode import EpisodeInfo
@@ -37,6 +39,15 @@ def contents(path: Path) -> dict[str, set[str]]:
         times = set(chunk.timeline_names) if not chunk.is_static else {"static"}
         found.setdefault(str(chunk.entity_path), set()).update(times)
     return found
+
+
+def text(path: Path, entity: str) -> str:
+    """Of a text document that is static."""
+    for chunk in RrdReader(path).stream():
+        if str(chunk.entity_path) == entity:
+            ((words,),) = chunk.to_record_batch().column("TextDocument:text").to_pylist()
+            return words
+    return ""
 
 
 @pytest.fixture(scope="module")
@@ -116,7 +127,7 @@ def test_of_thousands_of_signals_the_first_are_drawn(tmp_path: Path):
     verified(tmp_path / "a.rrd")
     recorded = [one for one in contents(tmp_path / "a.rrd") if one.startswith("/recorded/")]
     assert len(recorded) == 150
-    assert b"1050 more curves are not drawn" in (tmp_path / "a.rrd").read_bytes()
+    assert "1050 more curves are not drawn" in text(tmp_path / "a.rrd", "/result")
 
 
 def write_channels(path: Path, count: int) -> None:
@@ -175,6 +186,59 @@ def test_the_simulated_balls_are_projected_onto_the_observed_one(filmed: Tuning)
 
     assert rms_px(-1) < 0.5
     assert rms_px(0) > 5
+
+
+def test_the_verdict_lies_over_all_on_any_timeline(tuned: Tuning, tmp_path: Path):
+    write_review(tuned, record_of(tuned), tmp_path / "a.rrd")
+    assert contents(tmp_path / "a.rrd")["/verdict"] == {"static"}
+    assert text(tmp_path / "a.rrd", "/result").startswith("# ok")
+
+
+def test_the_result_between_the_samples_is_the_rollouts_ball():
+    truth = {"restitution": 0.8, "restitution_slope": 0.08, "drag": 0.1}
+    rig = DropRig(gap_m=1.5, rate_hz=120.0, samples=400, hold_s=0.2)
+    data = review_data(tune_episode(DropSimulator(rig, CALIBRATED).rollout(truth), Options()))
+    curve, ball = data.simulated[-1], data.ball
+    assert ball is not None
+    off = ball.heights(curve.seconds) - curve.heights_m / data.drop_height_m
+    assert np.abs(off).max() < 2e-4
+    assert len(data.impacts_s) > 4
+    seen = np.interp(data.impacts_s, data.observed.seconds, data.observed.heights_m)
+    assert np.abs(seen).max() < 0.04  # no ideal ball's: after five bounces that is elsewhere
+
+
+def test_a_legend_has_the_whole_vector():
+    values = {"restitution": 0.7523, "restitution_slope": -0.0001, "drag": 0.11}
+    assert values_words(values) == "e=.752 p=.000 k=.110/m"
+    assert values_words({"restitution": 0.7523}) == "e=0.7523"
+
+
+def test_the_residual_has_its_limit_in_the_chart(tuned: Tuning, tmp_path: Path):
+    write_review(tuned, record_of(tuned), tmp_path / "a.rrd")
+    limits = [
+        chunk.to_record_batch().column("Scalars:scalars").to_pylist()
+        for chunk in RrdReader(tmp_path / "a.rrd").stream()
+        if str(chunk.entity_path) == "/residual/limit" and not chunk.is_static
+    ]
+    assert limits == [[[pytest.approx(5.0, abs=0.1), pytest.approx(-5.0, abs=0.1)]] * 2]
+
+
+def test_a_film_without_a_drop_shows_what_was_tracked(filmed_log: Path, tmp_path: Path):
+    frames = list(read_episode(filmed_log).frames())
+    with EpisodeWriter(tmp_path / "a.mcap", EpisodeInfo(), live=False) as writer:
+        for frame in frames[:52]:  # it falls, and has hardly hit
+            writer.write_frame("/camera", frame)
+    tuning = tune_log(tmp_path / "a.mcap", Options())
+    assert tuning.verdict == "rejected"
+    assert tuning.detection is None
+    assert tuning.refused is not None
+    write_review(tuning, record_of(tuning), tmp_path / "a.rrd")
+    verified(tmp_path / "a.rrd")
+    entities = contents(tmp_path / "a.rrd")
+    for place in ("/film/observed", "/height/observed"):
+        assert entities[place] == {"static", "log_time_s"}, place
+    assert entities["/film/picture"] >= {"log_time_s"}
+    assert entities["/film/track"] == {"static"}
 
 
 def test_a_rejected_film_shows_its_pictures(filmed_log: Path, tmp_path: Path):

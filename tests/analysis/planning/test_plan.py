@@ -16,7 +16,7 @@ from analysis.planning.plan import plan_shot
 from analysis.planning.tolerance import signed_gap_m
 from recorders.simulators.bounce_shot import passes, shoot
 from recorders.simulators.shot.rig import Hoop, Release, ShotRig
-from recorders.simulators.shot.speed_law import SpeedLaw
+from recorders.simulators.speed_law import SpeedLaw
 from tests.analysis.drop.test_review import verified
 from tests.conftest import Command
 from tunenet_logs.errors import LogError, NotFoundError
@@ -204,7 +204,7 @@ def test_bounces_that_scatter_within_their_intervals_are_averaged():
 def _ball(seen: np.ndarray) -> KnownBall:
     from analysis.planning.known_ball import _fitted
 
-    return _fitted(seen, ())
+    return _fitted(seen)
 
 
 def test_without_speeds_it_says_so(tmp_path: Path):

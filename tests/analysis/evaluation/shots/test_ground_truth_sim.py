@@ -22,7 +22,7 @@ from analysis.selection import Options, Selection
 from analysis.tuning import tune_log
 from recorders.simulators.balls import Ball
 from recorders.simulators.shot.rig import ShotRig
-from recorders.simulators.shot.speed_law import SpeedLaw
+from recorders.simulators.speed_law import SpeedLaw
 
 BALL = HiddenBall("red gel", 0.74, 0.08)
 

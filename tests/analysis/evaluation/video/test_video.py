@@ -159,7 +159,10 @@ def test_the_command_prints_and_writes_the_tables_it_is_asked_for(
     [
         (("video", "--sections", "set-D"), "no section 'set-D'; there is: set-A, set-B"),
         (("video", "--sections", ","), "--sections names none; there is: set-A"),
-        (("drop", "--sections", "bad"), "is for video, payload and bounce-shot, not drop"),
+        (
+            ("drop", "--sections", "bad"),
+            "is for video, payload, real-balls and bounce-shot, not",
+        ),
         (("video", "--methods", "mean"), "--methods is for drop, not video"),
         (("video", "--rrd", "a.rrd"), "--rrd is for drop, not video"),
     ],

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.drop.bounce_fit import BounceFit, fit_bounce
+from analysis.drop.bounce_posterior import BallPosterior, ball_posterior
 from analysis.drop.free_fall import Drop, find_drops
+from analysis.drop.positions_fit import fit_positions
 from recorders.simulated_drop import DropOrder, simulate_drop
 from tunenet_logs.errors import NotFoundError
 
@@ -17,18 +18,18 @@ def recorded(**order: object) -> Drop:
     return find_drops(signal.seconds, signal.values[:, 2])[0]
 
 
-def fitted(drop: Drop, initial: float) -> BounceFit:
-    fit = fit_bounce(drop, initial)
+def fitted(drop: Drop) -> BallPosterior:
+    fit = fit_positions(drop)
     assert fit is not None
-    return fit
+    return ball_posterior(fit)
 
 
 @pytest.mark.parametrize("restitution", [0.05, 0.2, 0.5, 0.8, 0.97])
 def test_a_clean_drop_of_the_engine_is_recovered(restitution: float):
     drop = recorded(restitution=restitution, height_m=1.3, rate_hz=120.0)
-    fit = fitted(drop, restitution + 0.003)
-    assert fit.restitution == pytest.approx(restitution, abs=3e-5)
-    low, high = fit.interval95
+    fit = fitted(drop)
+    assert fit.values[0] == pytest.approx(restitution, abs=3e-5)
+    low, high = fit.interval95[0]
     assert low <= restitution <= high
     assert high - low < 2e-4
 
@@ -37,7 +38,7 @@ def test_noise_widens_the_interval_as_the_square_root_says():
     widths = []
     for noise_m in (0.001, 0.004):
         drop = recorded(restitution=0.7, height_m=2.0, noise_m=noise_m, seed=3)
-        low, high = fitted(drop, 0.7).interval95
+        low, high = fitted(drop).interval95[0]
         widths.append(high - low)
     assert widths[1] / widths[0] == pytest.approx(4, rel=0.25)
 
@@ -45,9 +46,9 @@ def test_noise_widens_the_interval_as_the_square_root_says():
 @pytest.mark.parametrize(("restitution", "noise_m"), [(0.3, 0.001), (0.6, 0.005), (0.85, 0.01)])
 def test_a_noisy_drop_is_recovered_within_its_interval(restitution: float, noise_m: float):
     drop = recorded(restitution=restitution, height_m=2.0, noise_m=noise_m, seed=3)
-    fit = fitted(drop, restitution)
-    assert fit.restitution == pytest.approx(restitution, abs=0.005)
-    low, high = fit.interval95
+    fit = fitted(drop)
+    assert fit.values[0] == pytest.approx(restitution, abs=0.005)
+    low, high = fit.interval95[0]
     assert low <= restitution <= high
 
 
@@ -61,7 +62,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
         drop = recorded(
             restitution=restitution, height_m=rng.uniform(1, 4), noise_m=noise_m, seed=seed
         )
-        low, high = fitted(drop, restitution).interval95
+        low, high = fitted(drop).interval95[0]
         missed += not low <= restitution <= high
     assert 0 < missed < 14
 
@@ -106,14 +107,14 @@ def held(count: int, *, averaged: int = 1, **ball: float) -> int:
             drop = find_drops(seconds, heights)[0]
         except NotFoundError:
             continue
-        low, high = fitted(drop, truth + 0.003).interval95
+        low, high = fitted(drop).interval95[0]
         found += low <= truth <= high
     return found
 
 
 def test_an_ideal_ball_s_intervals_are_narrow():
     seconds, heights = real_drop(0.7, noise_m=0.001, seed=1)
-    low, high = fitted(find_drops(seconds, heights)[0], 0.703).interval95
+    low, high = fitted(find_drops(seconds, heights)[0]).interval95[0]
     assert low <= 0.7 <= high
     assert high - low < 0.002
 
@@ -141,14 +142,45 @@ def test_intervals_hold_for_balls_as_light_as_those_of_golf_and_tennis(drag_1_m:
     assert held(20, drag_1_m=drag_1_m, noise_m=0.001) >= least
 
 
+@pytest.mark.parametrize(
+    ("slope", "drag_1_m"), [(0.1, 0.0), (0.0, 0.12), (0.08, 0.12), (0.0, 0.0), (0.05, 0.02)]
+)
+def test_slope_and_drag_are_told_apart_where_many_bounces_are_seen(slope: float, drag_1_m: float):
+    truth = (0.75, slope, drag_1_m)
+    seconds, heights = real_drop(*truth[:1], slope=slope, drag_1_m=drag_1_m, noise_m=0.0005, seed=2)
+    found = fitted(find_drops(seconds, heights)[0])
+    assert found.values == pytest.approx(truth, abs=0.006)
+    assert np.all(found.interval95[:, 0] - 2e-3 <= truth)
+    assert np.all(found.interval95[:, 1] + 2e-3 >= truth)
+
+
+def test_what_a_log_cannot_tell_of_slope_and_drag_is_the_priors():
+    seconds, heights = real_drop(0.6, slope=0.05, drag_1_m=0.02, noise_m=0.003, seed=2)
+    after = seconds < 0.452 + 2 * 0.6 * 0.452 - 0.02  # the first flight alone
+    found = fitted(find_drops(seconds[after], heights[after])[0])
+    assert found.told[0] < 0.2
+    low, high = found.interval95[1]
+    assert low <= 0.05 <= high
+
+
+def test_a_known_ball_s_drag_is_taken_as_known():
+    seconds, heights = real_drop(0.7, drag_1_m=0.12, noise_m=0.002, seed=3)
+    drop = find_drops(seconds, heights)[0]
+    fit = fit_positions(drop, 0.12)
+    assert fit is not None
+    known = ball_posterior(fit)
+    assert known.values[2] == pytest.approx(0.12, abs=0.01)
+    assert np.ptp(known.interval95[0]) <= 1.1 * np.ptp(fitted(drop).interval95[0])
+
+
 @pytest.mark.slow
 def test_intervals_hold_for_smoothed_tracks():
     assert held(20, averaged=3, noise_m=0.001) >= 16
 
 
-def test_from_0_the_fit_finds_its_way():
+def test_a_low_rebound_is_found():
     drop = recorded(restitution=0.1, height_m=1.0, noise_m=0.0005)
-    low, high = fitted(drop, 0.0).interval95
+    low, high = fitted(drop).interval95[0]
     assert low <= 0.1 <= high < 0.12
 
 
@@ -156,7 +188,7 @@ def test_too_few_samples_give_no_fit():
     drop = recorded(restitution=0.5, height_m=1.0)
     few = slice(24, 33)
     parts = {**vars(drop), "seconds": drop.seconds[few], "heights_m": drop.heights_m[few]}
-    assert fit_bounce(Drop(**parts), 0.5) is None
+    assert fit_positions(Drop(**parts)) is None
 
 
 def test_a_smoothed_track_is_no_surer_than_the_samples_it_was_made_of():
@@ -168,6 +200,6 @@ def test_a_smoothed_track_is_no_surer_than_the_samples_it_was_made_of():
             seconds, heights = real_drop(0.7, noise_m=0.001, seed=seed)
             padded = np.pad(heights, averaged // 2, "edge")
             drop = find_drops(seconds, np.convolve(padded, kernel, "valid"))[0]
-            found.append(np.ptp(fitted(drop, 0.703).interval95))
+            found.append(np.ptp(fitted(drop).interval95[0]))
         widths[averaged] = np.median(found)
     assert widths[3] > 0.9 * widths[1]

@@ -1,4 +1,4 @@
-"""A simulated drop's track without rendering: for training, where rendering would take hours.
+"""A simulated drop's track without rendering.
 
 It differs from the track of the rendered pictures by about a tenth of a pixel.
 """

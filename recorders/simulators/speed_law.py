@@ -10,7 +10,7 @@ import numpy as np
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import UsageError
 
-_SLOWEST_M_S = 0.05
+SLOWEST_M_S = 0.05
 """The law is constant below this speed: no ball is measured there, and a power law has no bound."""
 
 
@@ -41,5 +41,5 @@ class SpeedLaw:
 
     def at(self, speeds_m_s: Array) -> Array:
         """Restitution at impacts of these speeds [m/s], from 0 to 1, of their shape."""
-        ratio = np.maximum(speeds_m_s, _SLOWEST_M_S) / self.at_m_s
+        ratio = np.maximum(speeds_m_s, SLOWEST_M_S) / self.at_m_s
         return np.clip(self.restitution * ratio**-self.slope, 0.0, 1.0)

@@ -1,0 +1,218 @@
+"""A bouncing ball as a camera or a motion capture shows it: what is unknown, and what is likely.
+
+The ball is in closed form (`Bounce`): its restitution e at the first impact, how that falls with
+speed, and the air's drag. The camera is a projective map of the vertical (`Projection`). Recorded
+positions are a film whose camera is known: it has no perspective, and its span is the drop height,
+as far as the log's metres are metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.drop.projection import PERSPECTIVE_SD, projected
+from recorders.simulators.base import GRAVITY_M_S2
+from recorders.simulators.closed_form.bounce import Bounce
+from recorders.simulators.speed_law import SLOWEST_M_S
+from tunenet_logs.arrays import Array
+
+RESTITUTION, IMPACT, FALL, CONTACT, SPAN, PERSPECTIVE, SLOPE, DRAG = range(8)
+"""Indices of the unknowns: e, t1 [s], log T0, A, B, k, p, drag times drop height.
+
+A and B are in the positions' unit. The unknowns from 8 on are the bends, see `BounceSamples`."""
+
+IDEAL = (RESTITUTION, IMPACT, FALL, CONTACT, SPAN, PERSPECTIVE)
+"""What is fitted first, roughly, of a film: a ball that keeps its restitution, without air."""
+
+SLOPE_SD = 0.1
+"""Of the slope p, normal about 0, while fitting: real balls show .03 to .22."""
+
+DRAG_SD_1_M = 0.1
+"""Of the drag, likewise: a table-tennis ball has .13, most others about .02."""
+
+KNOWN_DRAG = 0.1
+"""Fraction by which a drag may be off that follows from a ball's mass and size."""
+
+METRE_SD, METRE_FREEDOM = 0.0008, 2.0
+"""Of the log of a length in the log over the true one: gravity differs by .1 % between most places
+of the earth. Student's t, because some logs' lengths are scaled by hand."""
+
+BEND_SD = 0.008
+"""Of the rate at which contact moves through the picture after an impact, B a fall time: a ball
+that falls 1 m goes sideways by some .1 m/s more or less after each bounce."""
+
+_KNOWN = 8
+"""Unknowns that have a name."""
+
+FREEDOM = 8.0
+"""Degrees of freedom of Student's t: nearly normal; 10 standard deviations off, a tenth counts."""
+
+MOST_BENDS = 6
+"""Impacts at which the contact may begin to move."""
+
+LOW = np.array([0.005, -np.inf, -np.inf, -np.inf, 0.0, -2.5, -0.3, 0.0, *[-np.inf] * MOST_BENDS])
+HIGH = np.array([1.0, np.inf, np.inf, np.inf, np.inf, 2.5, 0.5, 2.0, *[np.inf] * MOST_BENDS])
+"""Of the unknowns, beyond what any ball or camera has."""
+
+_SHORT = 1e-5
+"""Of an unknown of the ball, or of time [fall times], by which it is differentiated."""
+
+
+@dataclass(frozen=True, eq=False)
+class BounceSamples:
+    """What a fit is to explain.
+
+    Attributes:
+        seconds: shape (T,).
+        positions: along the vertical, up positive, in px of a picture or m of a log, shape (T,).
+        noise: standard deviation of a position, at least.
+        in_metres: whether the positions are heights, and not of a picture.
+        distortion_variance_fraction: of the noise's square, what is no noise but a lens's
+            distortion.
+        drag_1_m: drag that is known [1/m]; None where it is not.
+        exposure_s: for which a shutter may have been open, around the time of a sample.
+        bends_s: moments [s] from which on the contact may move through the picture: impacts. Each
+            is an unknown, the rate in `BEND_SD` B a fall time.
+    """
+
+    seconds: Array
+    positions: Array
+    noise: float
+    in_metres: bool = False
+    distortion_variance_fraction: float = 0.0
+    drag_1_m: float | None = None
+    exposure_s: float = 0.0
+    bends_s: tuple[float, ...] = ()
+
+    @property
+    def own_noise(self) -> float:
+        """Of the noise, what is none of a lens's distortion."""
+        return self.noise * float(np.sqrt(1 - self.distortion_variance_fraction))
+
+    @property
+    def unknowns(self) -> tuple[int, ...]:
+        """All that can be fitted to them."""
+        ball = (RESTITUTION, IMPACT, FALL, CONTACT, SPAN, SLOPE, DRAG)
+        bends = range(_KNOWN, _KNOWN + len(self.bends_s))
+        return ball if self.in_metres else (*IDEAL, SLOPE, DRAG, *bends)
+
+    def part(self, first: int, last: int) -> BounceSamples:
+        """The samples from index `first` on, before `last`."""
+        return replace(self, seconds=self.seconds[first:last], positions=self.positions[first:last])
+
+    def only(self, chosen: NDArray[np.bool_]) -> BounceSamples:
+        """The samples of a mask, shape (T,)."""
+        return replace(self, seconds=self.seconds[chosen], positions=self.positions[chosen])
+
+    def bounce(self, unknowns: Array) -> Bounce:
+        """The ball of these unknowns, shape (8,)."""
+        ball = Bounce(float(unknowns[RESTITUTION]), float(unknowns[SLOPE]), float(unknowns[DRAG]))
+        unit_m_s = GRAVITY_M_S2 * float(np.exp(unknowns[FALL])) / 2
+        return replace(ball, constant_below=SLOWEST_M_S / (ball.impact_speed * unit_m_s))
+
+    def residuals(self, unknowns: Array) -> Array:
+        """Positions of the ball in the camera of these unknowns less those seen, shape (T,)."""
+        heights = self.bounce(unknowns).heights(self.times(unknowns))
+        shape = projected(heights, float(unknowns[PERSPECTIVE]))
+        return unknowns[CONTACT] + unknowns[SPAN] * shape + self._moved(unknowns) - self.positions
+
+    def bend_rates(self, unknowns: Array) -> Array:
+        """Of the contact from each bend on, in the positions' unit a second, shape (N,)."""
+        unit = BEND_SD * unknowns[SPAN] / np.exp(unknowns[FALL])
+        return unit * unknowns[_KNOWN : _KNOWN + len(self.bends_s)]
+
+    def _moved(self, unknowns: Array) -> Array:
+        """By how much the contact has moved, shape (T,)."""
+        if not self.bends_s:
+            return np.zeros(len(self.seconds))
+        return self._since() @ self.bend_rates(unknowns)
+
+    def _since(self) -> Array:
+        """Seconds since each bend, shape (T, N)."""
+        return np.maximum(self.seconds[:, None] - np.array(self.bends_s), 0.0)
+
+    def jacobian(self, unknowns: Array, free: tuple[int, ...]) -> Array:
+        """Of the residuals over the free unknowns, shape (T, len(free))."""
+        times = self.times(unknowns)
+        heights = self.bounce(unknowns).heights(times)
+        grow = float(np.exp(unknowns[PERSPECTIVE]))
+        depth = np.maximum(1 + (grow - 1) * heights, 1e-3)
+        per_height = unknowns[SPAN] * grow / depth**2
+        columns = {
+            CONTACT: np.ones(len(times)),
+            SPAN: grow * heights / depth,
+            PERSPECTIVE: per_height * heights * (1 - heights),
+        }
+        for index in {RESTITUTION, SLOPE, DRAG}.intersection(free):
+            moved = unknowns.copy()
+            moved[index] += _SHORT if unknowns[index] < HIGH[index] - _SHORT else -_SHORT
+            rise = self.bounce(moved).heights(times) - heights
+            columns[index] = per_height * rise / (moved[index] - unknowns[index])
+        if IMPACT in free or FALL in free:
+            speeds = (self.bounce(unknowns).heights(times + _SHORT) - heights) / _SHORT
+            columns[IMPACT] = -per_height * speeds / np.exp(unknowns[FALL])
+            columns[FALL] = -per_height * speeds * times
+        if self.bends_s:
+            unit = BEND_SD * unknowns[SPAN] / np.exp(unknowns[FALL])
+            columns |= dict(enumerate((unit * self._since()).T, start=_KNOWN))
+        return np.column_stack([columns[index] for index in free])
+
+    def times(self, unknowns: Array) -> Array:
+        """Of the samples [fall times after the first impact], shape (T,)."""
+        return (self.seconds - unknowns[IMPACT]) / np.exp(unknowns[FALL])
+
+    def priors(self, unknowns: Array) -> list[Prior]:
+        """What is likely before the samples are looked at."""
+        height_m = GRAVITY_M_S2 * float(np.exp(2 * unknowns[FALL])) / 2
+        usual, sd_1_m = 0.0, DRAG_SD_1_M
+        if self.drag_1_m is not None:
+            usual, sd_1_m = self.drag_1_m, KNOWN_DRAG * self.drag_1_m
+        found = [
+            Prior({SLOPE: 1.0}, float(unknowns[SLOPE]), SLOPE_SD),
+            Prior({DRAG: 1.0}, float(unknowns[DRAG] - usual * height_m), sd_1_m * height_m),
+        ]
+        if self.in_metres:
+            off = float(np.log(unknowns[SPAN] / height_m))
+            slopes = {SPAN: 1 / float(unknowns[SPAN]), FALL: -2.0}
+            return [*found, Prior(slopes, off, METRE_SD, METRE_FREEDOM)]
+        found += [
+            Prior({_KNOWN + bend: 1.0}, float(unknowns[_KNOWN + bend]), 1.0)
+            for bend in range(len(self.bends_s))
+        ]
+        return [*found, Prior({PERSPECTIVE: 1.0}, float(unknowns[PERSPECTIVE]), PERSPECTIVE_SD)]
+
+
+@dataclass(frozen=True)
+class Prior:
+    """How far one combination of the unknowns is from what is likely.
+
+    Attributes:
+        slopes: of the combination over the unknowns in it, by index.
+        off: from the likeliest.
+        sd: standard deviation.
+        freedom: of Student's t; infinite for a normal distribution.
+    """
+
+    slopes: dict[int, float]
+    off: float
+    sd: float
+    freedom: float = np.inf
+
+    @property
+    def cost(self) -> float:
+        """Minus the logarithm of its density, without constants."""
+        square = (self.off / self.sd) ** 2
+        if np.isinf(self.freedom):
+            return 0.5 * square
+        return 0.5 * (self.freedom + 1) * float(np.log1p(square / self.freedom))
+
+    @property
+    def weight(self) -> float:
+        """Of its square, where t is fitted by reweighting."""
+        if np.isinf(self.freedom):
+            return self.sd**-2
+        square = (self.off / self.sd) ** 2
+        return (self.freedom + 1) / (self.freedom + square) / self.sd**2

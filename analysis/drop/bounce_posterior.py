@@ -1,0 +1,307 @@
+"""What samples say of a ball: restitution, slope and drag, each with its 95 % interval.
+
+Near the fit the likelihood is normal in all unknowns, and all but slope and drag are averaged over
+in closed form. Over those two it is multiplied with what is known of balls, on a grid: many keep
+their restitution or hardly feel the air, none gains by speed, few are as light as a table-tennis
+ball. So a ball that shows neither slope nor drag is taken for what it is, one that shows both gets
+both, and where the samples cannot tell, the interval covers what they leave open (Bayesian model
+averaging, Hoeting et al. 1999). The ends of the restitution's interval are then moved by as much as
+the profile of the likelihood is wider, or narrower, than the normal one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from analysis.drop.bounce_fit import BounceFit, fit_bounce
+from analysis.drop.bounce_model import DRAG, FALL, FREEDOM, KNOWN_DRAG, RESTITUTION, SLOPE
+from analysis.statistics import TWO_SIDED, correlation_time, mixture_quantile
+from recorders.simulators.base import GRAVITY_M_S2
+from tunenet_logs.arrays import Array
+
+_NO_SLOPE, _NO_DRAG, _NO_DRAG_IN_PICTURE = 0.4, 0.5, 0.85
+"""Prior probabilities of a ball that keeps its restitution, and of one that the air does not slow:
+simulators drop such balls. In a picture lens and blur look like a little drag, too."""
+
+_SLOPE_SD, _NEGATIVE_SD = 0.12, 0.01
+"""Prior of another ball's slope: half normal, with a little room below 0."""
+
+_USUAL_DRAG_1_M, _LOG_DRAG_SD = 0.03, 1.3
+"""Prior of another ball's drag: log normal. A steel ball has .002, a table-tennis ball .13."""
+
+_NODES, _REACH_SDS = 45, 4.5
+"""Of the grid along one axis, and how far it goes."""
+
+_WIDEST = (0.3, 0.5)
+"""Standard deviations of slope and drag [1 / drop height] where the samples tell nothing."""
+
+_LEAST_SD = 1e-5
+"""Of a restitution: no lens, no clock and no simulator are better."""
+
+_LEAST_SD_IN_PICTURE = 2e-4
+"""The same of a film."""
+
+_FILM_WIDER = 1.1
+"""Factor on a film's intervals of the restitution: without it too few cover."""
+
+_RISE = 0.93 * TWO_SIDED**2 / 2
+"""How much less likely the ends are: a t distribution is flatter than the noise of a track."""
+
+_ANY_RESTITUTION_SD = 0.3
+"""Of a restitution of which the samples tell nothing near the fit."""
+
+_UNSURE, _SEARCHED = 0.03, 4
+"""Standard deviation of a restitution beyond which the ends are searched for, in so many steps:
+near 0 a rebound grows with its square, and no normal likelihood describes it."""
+
+_NARROWER, _WIDER = 0.8, 2.5
+"""Most that a profile changes a normal interval: beyond that it found another minimum."""
+
+
+@dataclass(frozen=True, eq=False)
+class BallPosterior:
+    """What is known of a ball.
+
+    Attributes:
+        values: restitution, slope, drag [1/m]: the posterior's means, shape (3,).
+        interval95: shape (3, 2).
+        fit: the fit, with slope and drag held at these values, all else fitted to them.
+        correlation: of slope and drag by the samples alone: near -1 or 1 these trade places.
+        told: how much narrower than its prior each interval of slope and drag is, from 0 (all of
+            it is the prior's) to 1, shape (2,).
+    """
+
+    values: Array
+    interval95: Array
+    fit: BounceFit
+    correlation: float
+    told: Array
+
+
+def ball_posterior(fit: BounceFit) -> BallPosterior:
+    """Average over all balls that may have made a fit's samples."""
+    height_m = GRAVITY_M_S2 * float(np.exp(2 * fit.unknowns[FALL])) / 2
+    factor = max(correlation_time(fit.residuals, len(fit.free)), fit.effective_sample_factor)
+    likelihood = _Likelihood.of(fit, factor)
+    grid = _Grid.of(likelihood, fit, height_m)
+    restitution = likelihood.restitution(grid.slopes, grid.drags * height_m)
+    least = _LEAST_SD if fit.samples.in_metres else _LEAST_SD_IN_PICTURE
+    sd = float(np.hypot(likelihood.restitution_sd, least))
+    weights = grid.weights
+    means = [float(weights @ one) for one in (restitution, grid.slopes, grid.drags)]
+    axes = ((restitution, sd), (grid.slopes, grid.slope_step), (grid.drags, grid.drag_step))
+    ends = np.array(
+        [
+            [mixture_quantile(at, values, one, weights) for at in (0.025, 0.975)]
+            for values, one in axes
+        ]
+    )
+    wider = _profile_factors(fit, factor, least) * (1 if fit.samples.in_metres else _FILM_WIDER)
+    ends[0] = means[0] + (ends[0] - means[0]) * wider
+    ends = np.clip(ends, [[0.0], [-np.inf], [0.0]], [[1.0], [np.inf], [np.inf]])
+    held = fit.unknowns.copy()
+    held[[RESTITUTION, SLOPE, DRAG]] = means[0], means[1], means[2] * height_m
+    rest = tuple(index for index in fit.free if index not in (SLOPE, DRAG))
+    final = replace(fit_bounce(fit.samples, held, rest), free=fit.free)
+    values = np.array([np.clip(means[0], 0.0, 1.0), means[1], means[2]])
+    width = np.ptp(ends[1:], axis=1)
+    return BallPosterior(
+        values,
+        ends,
+        final,
+        likelihood.correlation,
+        np.clip(1 - width / _prior_widths(fit), 0.0, 1.0),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Likelihood:
+    """The samples' normal approximation about a fit, as a function of slope and drag.
+
+    Attributes:
+        middle: most likely slope and drag times drop height, shape (2,).
+        precision: of the two, shape (2, 2).
+        value: the restitution there.
+        moves: of the restitution, for each of the two, shape (2,).
+        restitution_sd: where the two are known.
+    """
+
+    middle: Array
+    precision: Array
+    value: float
+    moves: Array
+    restitution_sd: float
+
+    @classmethod
+    def of(cls, fit: BounceFit, factor: float) -> _Likelihood:
+        """Slope and drag are in it without their priors; `factor` samples count as one."""
+        samples = fit.samples
+        jacobian = samples.jacobian(fit.unknowns, fit.free)
+        scale = fit.scale * np.sqrt(factor)
+        weights = (FREEDOM + 1) / (FREEDOM + (fit.residuals / fit.scale) ** 2) / scale**2
+        normal = jacobian.T @ (weights[:, None] * jacobian)
+        gradient = -jacobian.T @ (weights * fit.residuals)
+        for prior in samples.priors(fit.unknowns):
+            if {SLOPE, DRAG}.isdisjoint(prior.slopes):
+                row = np.array([prior.slopes.get(index, 0.0) for index in fit.free])
+                normal += prior.weight * np.outer(row, row)
+                gradient -= prior.weight * prior.off * row
+        known = fit.free.index(RESTITUTION)
+        normal[known, known] += _ANY_RESTITUTION_SD**-2  # a hop that is not seen tells little
+        of_law = np.array([index in (SLOPE, DRAG) for index in fit.free])
+        order = np.array([fit.free.index(SLOPE), fit.free.index(DRAG)])
+        others = np.flatnonzero(~of_law)
+        inverse = np.linalg.pinv(normal[np.ix_(others, others)])
+        across = normal[np.ix_(others, order)]
+        precision = normal[np.ix_(order, order)] - across.T @ inverse @ across
+        pull = gradient[order] - across.T @ inverse @ gradient[others]
+        covariance = np.linalg.inv(precision + np.diag(np.array(_WIDEST) ** -2))
+        here = fit.unknowns[[SLOPE, DRAG]]
+        step = covariance @ pull
+        first = int(np.flatnonzero(others == fit.free.index(RESTITUTION))[0])
+        moves = -(inverse @ across)[first]
+        value = float(fit.unknowns[RESTITUTION] + (inverse @ gradient[others])[first])
+        return cls(
+            here + step,
+            precision,
+            value + float(moves @ step),
+            moves,
+            float(np.sqrt(inverse[first, first])),
+        )
+
+    @property
+    def sds(self) -> Array:
+        """Standard deviations of slope and drag, shape (2,)."""
+        return np.sqrt(np.diag(np.linalg.inv(self.precision + np.diag(np.array(_WIDEST) ** -2))))
+
+    @property
+    def correlation(self) -> float:
+        """Of slope and drag."""
+        covariance = np.linalg.inv(self.precision + np.diag(np.array(_WIDEST) ** -2))
+        return float(covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]))
+
+    def log_density(self, slopes: Array, drags: Array) -> Array:
+        """Without a constant, shape (M,), of slopes and drags times drop height."""
+        off = np.column_stack([slopes, drags]) - self.middle
+        return -0.5 * np.einsum("mi,ij,mj->m", off, self.precision, off)
+
+    def restitution(self, slopes: Array, drags: Array) -> Array:
+        """The likeliest restitution for each, shape (M,)."""
+        return self.value + (np.column_stack([slopes, drags]) - self.middle) @ self.moves
+
+
+@dataclass(frozen=True, eq=False)
+class _Grid:
+    """Balls, and how likely each is: shape (M,) each.
+
+    Attributes:
+        slopes: p.
+        drags: [1/m].
+        weights: adding up to 1.
+        slope_step: between neighbours, by which the marginal is smoothed.
+        drag_step: likewise.
+    """
+
+    slopes: Array
+    drags: Array
+    weights: Array
+    slope_step: float
+    drag_step: float
+
+    @classmethod
+    def of(cls, likelihood: _Likelihood, fit: BounceFit, height_m: float) -> _Grid:
+        """Around where the samples put slope and drag, and where there is none of them."""
+        middle, sds = likelihood.middle, likelihood.sds
+        slopes, slope_step = _nodes(float(middle[0]), float(sds[0]), -0.05, 0.45)
+        drags, drag_step = _nodes(float(middle[1]) / height_m, float(sds[1]) / height_m, 0.0, 1.0)
+        slope_prior = _slope_density(slopes) * slope_step * (1 - _NO_SLOPE)
+        known = fit.samples.drag_1_m
+        if known is None:
+            none = _NO_DRAG if fit.samples.in_metres else _NO_DRAG_IN_PICTURE
+            drag_prior = _drag_density(drags) * drag_step * (1 - none)
+            drags, drag_prior = np.append(drags, 0.0), np.append(drag_prior, none)
+        else:
+            drags, drag_step = _nodes(known, KNOWN_DRAG * known, 0.0, 2 * known)
+            drag_prior = np.exp(-0.5 * ((drags - known) / (KNOWN_DRAG * known)) ** 2)
+        slopes, slope_prior = np.append(slopes, 0.0), np.append(slope_prior, _NO_SLOPE)
+        both = np.meshgrid(slopes, drags, indexing="ij")
+        flat_slopes, flat_drags = (one.ravel() for one in both)
+        prior = np.outer(slope_prior, drag_prior).ravel()
+        log = likelihood.log_density(flat_slopes, flat_drags * height_m)
+        log += np.log(np.maximum(prior, 1e-300))
+        weights = np.exp(log - log.max())
+        return cls(flat_slopes, flat_drags, weights / weights.sum(), slope_step, drag_step)
+
+
+def _nodes(middle: float, sd: float, low: float, high: float) -> tuple[Array, float]:
+    """Middles of even cells about a value, within bounds, and their width."""
+    first, last = middle - _REACH_SDS * sd, middle + _REACH_SDS * sd
+    if last <= low or first >= high:  # only a bound can be meant
+        first, last = (low, low + 2 * sd) if last <= low else (high - 2 * sd, high)
+    edges = np.linspace(max(first, low), min(last, high), _NODES + 1)
+    return (edges[1:] + edges[:-1]) / 2, float(edges[1] - edges[0])
+
+
+def _slope_density(slopes: Array) -> Array:
+    sds = np.where(slopes < 0, _NEGATIVE_SD, _SLOPE_SD)
+    total = np.sqrt(np.pi / 2) * (_NEGATIVE_SD + _SLOPE_SD)
+    return np.exp(-0.5 * (slopes / sds) ** 2) / total
+
+
+def _drag_density(drags: Array) -> Array:
+    """Of positive drags [1/m]."""
+    off = np.log(drags / _USUAL_DRAG_1_M) / _LOG_DRAG_SD
+    return np.exp(-0.5 * off**2) / (np.sqrt(2 * np.pi) * _LOG_DRAG_SD * drags)
+
+
+def _prior_widths(fit: BounceFit) -> Array:
+    """Of the 95 % intervals of slope and drag [1/m] before any sample, shape (2,)."""
+    slope = TWO_SIDED * _SLOPE_SD
+    if fit.samples.drag_1_m is not None:
+        return np.array([slope, 2 * TWO_SIDED * KNOWN_DRAG * fit.samples.drag_1_m])
+    return np.array([slope, _USUAL_DRAG_1_M * np.exp(TWO_SIDED * _LOG_DRAG_SD)])
+
+
+def _profile_factors(fit: BounceFit, factor: float, least: float) -> Array:
+    """How much farther than a normal likelihood has them the restitution's ends are, shape (2,).
+
+    All else is fitted anew where the normal likelihood ends.
+    """
+    normal, _ = fit.normal_equations()
+    normal[0, 0] += _ANY_RESTITUTION_SD**-2
+    variance = float(np.linalg.pinv(normal)[0, 0]) * factor
+    sd = max(float(np.sqrt(max(variance, 0.0))), least)
+    if sd < _UNSURE:
+        return np.array(
+            [np.clip(_profiled(fit, factor, side, sd), _NARROWER, _WIDER) for side in (-1, 1)]
+        )
+    factors: list[float] = []
+    for side in (-1, 1):
+        reach = 1.0
+        for _ in range(_SEARCHED):
+            found = _profiled(fit, factor, side, reach * sd)
+            reach = max(reach * float(np.clip(found, 0.25, 4.0)), least / sd)
+            if abs(found - 1) < 0.1:
+                break
+        factors.append(reach)
+    return np.array(factors)
+
+
+def _profiled(fit: BounceFit, factor: float, side: int, sd: float) -> float:
+    """By what the profile likelihood's end is farther than 1.96 of `sd` to a side; 1 at a bound."""
+    value = float(fit.unknowns[RESTITUTION])
+    at = float(np.clip(value + side * TWO_SIDED * sd, 0.0, 1.0))
+    reached = abs(at - value)
+    if reached < 0.5 * TWO_SIDED * sd:
+        return 1.0
+    start = fit.unknowns.copy()
+    start[RESTITUTION] = at
+    others = tuple(index for index in fit.free if index != RESTITUTION)
+    held = fit_bounce(fit.samples, start, others, most=10, gain=1e-5, scale=fit.scale)
+    held = replace(held, free=fit.free)
+    best = fit.misfit_cost(fit.scale) / factor + fit.prior_cost()
+    rise = held.misfit_cost(fit.scale) / factor + held.prior_cost() - best
+    fraction = float(np.sqrt(max(rise, 0.0) / _RISE)) * TWO_SIDED * sd / reached
+    return 1 / max(fraction, 1e-6)

@@ -1,0 +1,62 @@
+"""The second estimate beside a drop's: by curves of time, without a law and without a camera."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from analysis.checks import CrossCheck
+from analysis.drop.bounce_fit import BounceFit
+from analysis.drop.detection import DISAGREEMENT, AnyDetection, FilmDetection
+from analysis.drop.free_fall import Drop
+from analysis.drop.impact import Indices, meet
+from analysis.drop.rebounds import flight_ratio
+from tunenet_logs.arrays import Array
+
+_AGREEMENT, _AGREEMENT_IN_PICTURE = 0.02, 0.03
+"""Of the restitution: what systematic errors take off the cross-check of a good recording."""
+
+
+def flight_cross_check(detection: AnyDetection, estimate: Array) -> CrossCheck | None:
+    """By how much shorter the second flight is than the first, else by the speeds at the impact.
+
+    Both are compared with what the fitted ball would show in the same way, so the air's drag, and
+    what a smooth curve makes of it, take nothing from them. The first changes with no projection.
+    """
+    if not detection.physical or detection.posterior is None:
+        return None
+    fit, value = detection.posterior.fit, float(estimate[0])
+    ratio = flight_ratio(fit)
+    if ratio is not None:
+        margin = _AGREEMENT if detection.film is None else _AGREEMENT_IN_PICTURE
+        agrees = abs(ratio.value - ratio.fitted) < margin + 3 * ratio.sd
+        # What they tell is the second impact's; the first one's is as much off, at any slope.
+        method = "durations of the first two flights"
+        seen = value * ratio.value / ratio.fitted
+        return CrossCheck(method, seen, bool(agrees), DISAGREEMENT)
+    if isinstance(detection, FilmDetection):
+        return None
+    return _by_speeds(detection.found, fit, value)
+
+
+def _by_speeds(drop: Drop, fit: BounceFit, value: float) -> CrossCheck | None:
+    """By the speeds just after and just before the impact, as parabolas on either side have them.
+
+    The same parabolas are fitted to the fitted ball: what they are off there, they are off here.
+    """
+    fall = _between(drop.seconds, drop.fall_s)
+    flight = _between(drop.seconds, drop.flight_s)
+    if np.isnan(drop.flight_restitution) or len(fall) < 3 or len(flight) < 3:
+        return None
+    view = fit.projection()
+    heights = view.bounce.heights(view.fall_times(drop.seconds))
+    ball_m = view.positions(heights, drop.seconds)
+    clock = drop.seconds - view.impact_s
+    usual = meet(clock, ball_m, fall, flight, drop.noise_m).flight_restitution
+    seen = value + drop.flight_restitution - usual
+    agrees = abs(seen - value) < _AGREEMENT + 3 * drop.flight_restitution_sd
+    return CrossCheck("speeds at the first impact", seen, bool(agrees), DISAGREEMENT)
+
+
+def _between(seconds: Array, ends: tuple[float, float]) -> Indices:
+    """Indices of the samples between two times, both included."""
+    return np.flatnonzero((seconds >= ends[0]) & (seconds <= ends[1]))

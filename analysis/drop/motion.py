@@ -1,0 +1,252 @@
+"""How the tuned simulator moves beside what was observed: sample by sample, nothing interpolated.
+
+Positions are compared in m, films in px through the fitted camera, and both are said in % of the
+drop height. What counts is from the release to the last bounce in view.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.drop.bounce_model import BounceSamples
+from analysis.drop.bounce_posterior import ball_posterior
+from analysis.drop.bounce_samples import FEWEST_SAMPLES
+from analysis.drop.detection import AnyDetection
+from analysis.drop.equivalent import equivalents
+from analysis.drop.projection import Projection
+from analysis.drop.untold import SLOPE_AND_DRAG, untold
+from analysis.estimators.base import Step, Trace
+from analysis.record import MOST_SAMPLES, Curves, Equivalents, Motion, SimulationFit, excess
+from analysis.statistics import surer_noise_of
+from tunenet_logs.arrays import Array
+
+_AFTER_FALLS = 1.0
+"""Fall times after the last bounce in view that the curves show."""
+
+_BEFORE_FALLS = 0.25
+"""Fall times before the release: enough to see that the ball was still."""
+
+_CLEAR_HOP = 0.003
+"""Of the drop height: a lower bounce is not in view."""
+
+_HOP_SDS = 3.0
+"""Standard deviations of the noise, likewise."""
+
+_MOST_LEFT_OUT = 0.05
+"""Fraction of the samples that may be something else than the ball."""
+
+_FAR_SDS, _FAR = 6.0, 0.01
+"""A sample farther from the simulation than so much noise and this fraction of the drop height is
+something else, as long as few are."""
+
+_CHANCE_SDS = 1.64
+"""Standard deviations that noise may add to a mean square: one in twenty has more."""
+
+_FEWEST_BENDS = 20
+"""Samples whose third differences tell their noise."""
+
+_FEWEST_BEGUN = 2
+"""Impacts in the first part: before the second one no fit can know how the ball bounces."""
+
+_BEGUN, _FEWEST_HELD_OUT = 0.6, 6
+"""Part of the time that the held-out fit sees, and samples that are to be foretold."""
+
+_SAME_S = 2e-9
+"""Stamps that differ by less are of one moment."""
+
+
+def simulated(detection: AnyDetection, step: Step) -> tuple[Array, Array]:
+    """Times on the log's clock [s] and heights [drop heights] of an iterate, each (T,)."""
+    assert step.evaluation is not None
+    episode = step.evaluation.episode
+    signal = next(iter(episode.signals.values()))
+    seconds = (signal.stamps_ns - detection.start_ns).astype(np.float64) * 1e-9
+    rig = episode.info.rig
+    heights = (signal.values[:, 2] - rig["ball_diameter_m"] / 2) / rig["drop_height_m"]
+    return seconds, heights
+
+
+def simulated_m(detection: AnyDetection, step: Step) -> tuple[Array, Array]:
+    """Times on the log's clock [s] and heights above the table [m] of an iterate, each (T,)."""
+    assert step.evaluation is not None
+    seconds, heights = simulated(detection, step)
+    rig_m = step.evaluation.episode.info.rig["drop_height_m"]
+    return seconds, heights * (detection.drop.drop_height_m if detection.physical else rig_m)
+
+
+def simulation_fit(detection: AnyDetection, last: Step) -> SimulationFit | None:
+    """The last rollout against every sample in view; None where a preset has no camera for it."""
+    view = _view(detection)
+    if view is None:
+        return None
+    samples = detection.observed
+    simulated_s, heights = simulated(detection, last)
+    at, rows = matched(samples.seconds, simulated_s)
+    seconds, positions, heights = samples.seconds[at], samples.positions[at], heights[rows]
+    noise = _noise(samples)
+    inside = in_view(detection, seconds, noise / view.span)
+    if np.count_nonzero(inside) < FEWEST_SAMPLES:
+        return None
+    off = view.positions(heights[inside], seconds[inside]) - positions[inside]
+    off = np.maximum(np.abs(off) - _blurred(samples, view, seconds[inside]), 0.0) / view.span
+    kept = _of_the_ball(off, noise / view.span)
+    return SimulationFit(
+        rms_percent=100 * float(np.sqrt(np.mean(off[kept] ** 2))),
+        worst_percent=100 * float(off[kept].max()),
+        noise_percent=100 * noise / view.span,
+        held_out_percent=held_out_percent(detection),
+        samples=int(np.count_nonzero(kept)),
+        left_out=int(np.count_nonzero(~kept)) + detection.outliers,
+        noise=noise,
+        unit="m" if detection.film is None else "px",
+    )
+
+
+def held_out_percent(detection: AnyDetection) -> float | None:
+    """How far a fit to the first 60 % of the time is off on the rest [% of the drop height].
+
+    Without the noise in it, and what chance makes of it in few samples; None where too little is
+    seen in either part.
+    """
+    view = _view(detection)
+    if view is None:
+        return None
+    seen = detection.observed
+    seconds, noise = seen.seconds, _noise(seen)
+    inside = in_view(detection, seconds, noise / view.span)
+    if not inside.any():
+        return None
+    begin_s, end_s = detection.drop.release_s, float(seconds[inside][-1])
+    until_s = begin_s + _BEGUN * (end_s - begin_s)
+    rest = inside & (seconds > until_s)
+    impacts = view.impacts(until_s)
+    if len(impacts) < _FEWEST_BEGUN:
+        return None
+    fit = detection.begun(until_s)
+    if fit is None or np.count_nonzero(rest) < _FEWEST_HELD_OUT:
+        return None
+    begun = ball_posterior(fit).fit
+    later = seen.only(rest)
+    off = np.abs(replace(later, bends_s=begun.samples.bends_s).residuals(begun.unknowns))
+    off = np.maximum(off - _blurred(seen, view, later.seconds), 0.0) / view.span
+    off = off[_of_the_ball(off, noise / view.span)]
+    chance = 1 + _CHANCE_SDS * np.sqrt(2 / len(off))  # of a mean square of so few samples
+    return 100 * excess(float(np.sqrt(np.mean(off**2))), noise / view.span * np.sqrt(chance))
+
+
+def tuned_motion(detection: AnyDetection, trace: Trace) -> Motion:
+    """The curves at the observation's own stamps, how far they are apart, and without air."""
+    last = trace.steps[-1]
+    return Motion(
+        curves=_curves(detection, last),
+        fit=simulation_fit(detection, last) if detection.physical else None,
+        equivalents=_equivalents(detection),
+        untold=_untold(detection, trace),
+    )
+
+
+def in_view(detection: AnyDetection, seconds: Array, noise: float) -> NDArray[np.bool_]:
+    """Which times are from the release to the last bounce in view; noise in drop heights."""
+    posterior, drop = detection.posterior, detection.drop
+    assert posterior is not None
+    end_s = last_bounce_s(posterior.fit.projection(), float(seconds[-1]), noise)
+    return (seconds >= drop.release_s) & (seconds <= end_s)
+
+
+def last_bounce_s(view: Projection, until_s: float, noise: float) -> float:
+    """When the last bounce ends that is high enough to be seen, and in view [s]."""
+    last = (until_s - view.impact_s) / view.fall_time_s
+    starts, speeds = view.bounce.flights(last)
+    high = speeds**2 / 4 > max(_CLEAR_HOP, _HOP_SDS * noise)
+    ends = int(np.flatnonzero(high)[-1]) + 1 if high.any() else 0
+    return view.impact_s + view.fall_time_s * float(starts[min(ends, len(starts) - 1)])
+
+
+def _blurred(samples: BounceSamples, view: Projection, seconds: Array) -> Array:
+    """How far a picture may show the ball from where it is at its time, for an impact is in it.
+
+    While the shutter is open the ball comes down and goes up again: what is seen is a mean of both.
+    """
+    half_s = samples.exposure_s / 2
+    times = view.fall_times(seconds)
+    starts, _ = view.bounce.flights(float(times.max(initial=0.0)))
+    near = np.abs(times[:, None] - starts).min(axis=1) * view.fall_time_s < half_s
+    at, early, late = (
+        view.positions(view.bounce.heights(times + shift / view.fall_time_s), seconds)
+        for shift in (0.0, -half_s, half_s)
+    )
+    return np.where(near, np.maximum(np.abs(early - at), np.abs(late - at)), 0.0)
+
+
+def _noise(samples: BounceSamples) -> float:
+    """Of the samples, by themselves, in their unit."""
+    least = samples.own_noise / 2 if len(samples.positions) > _FEWEST_BENDS else samples.own_noise
+    return max(surer_noise_of(samples.positions), least) if len(samples.positions) > 3 else least
+
+
+def _view(detection: AnyDetection) -> Projection | None:
+    posterior = detection.posterior if detection.physical else None
+    return None if posterior is None else posterior.fit.projection()
+
+
+def matched(seconds: Array, of_rollout: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Indices of samples and of the rollout's at the same moments."""
+    rows = np.clip(np.searchsorted(of_rollout, seconds - _SAME_S), 0, len(of_rollout) - 1)
+    at = np.flatnonzero(np.abs(of_rollout[rows] - seconds) <= _SAME_S)
+    return at, rows[at]
+
+
+def _of_the_ball(off: Array, noise: float) -> NDArray[np.bool_]:
+    """Without what is far off, as long as that is little; in drop heights."""
+    far = off > _FAR_SDS * noise + _FAR
+    return ~far if np.count_nonzero(far) <= _MOST_LEFT_OUT * len(off) else np.ones_like(far)
+
+
+def _curves(detection: AnyDetection, last: Step) -> Curves | None:
+    """Both curves; None where they share fewer than two stamps."""
+    drop = detection.drop
+    samples, view = detection.observed, _view(detection)
+    seconds, noise = samples.seconds, _noise(samples)
+    if view is None:
+        heights_m, end_s = drop.heights_m - drop.table_m, float(drop.seconds[-1])
+        seconds = drop.seconds
+    else:
+        heights_m = view.heights(samples.positions, seconds) * drop.drop_height_m
+        end_s = last_bounce_s(view, float(seconds[-1]), noise / view.span)
+        end_s += _AFTER_FALLS * drop.fall_time_s
+    inside = (seconds >= drop.release_s - _BEFORE_FALLS * drop.fall_time_s) & (seconds <= end_s)
+    inside &= np.isfinite(heights_m)
+    every = max(1, -(-int(np.count_nonzero(inside)) // MOST_SAMPLES))
+    seconds, heights_m = seconds[inside][::every], heights_m[inside][::every]
+    if len(seconds) < 2:
+        return None
+    simulated_s, rollout_m = simulated_m(detection, last)
+    curve_m = np.full(len(seconds), np.nan)
+    if view is None:  # the paper's simulator has stamps of its own
+        curve_m = np.interp(seconds, simulated_s, rollout_m)
+    else:
+        at, rows = matched(seconds, simulated_s)
+        curve_m[at] = rollout_m[rows]
+    if np.count_nonzero(np.isfinite(curve_m)) < 2:
+        return None
+    return Curves(int(detection.start_ns), seconds, heights_m, curve_m)
+
+
+def _untold(detection: AnyDetection, trace: Trace) -> tuple[str, ...]:
+    """What the samples leave to the priors, where slope and drag were asked for."""
+    posterior = detection.posterior if detection.physical else None
+    if posterior is None or len(trace.estimate) <= SLOPE_AND_DRAG:
+        return ()
+    return untold(posterior)
+
+
+def _equivalents(detection: AnyDetection) -> Equivalents | None:
+    view = _view(detection)
+    if view is None:
+        return None
+    samples = detection.observed
+    seen = samples.only(in_view(detection, samples.seconds, _noise(samples) / view.span))
+    return equivalents(view, seen.seconds, view.heights(seen.positions, seen.seconds))

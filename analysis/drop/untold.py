@@ -1,0 +1,49 @@
+"""What a log does not tell of a ball, in words: slope and drag that only their priors say."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from analysis.drop.bounce_posterior import BallPosterior
+
+SLOPE_AND_DRAG = 2
+"""Index of the last of the parameters that this is about, in the task's order."""
+
+_TRADE = 0.9
+"""Correlation of slope and drag from which on these trade places."""
+
+_TOLD = 0.5
+"""Fraction of a prior's width that a log has to take away, or it tells little of a parameter."""
+
+_MOST_COUNTED = 6
+"""Flights; more have other reasons than their number."""
+
+
+def untold(posterior: BallPosterior) -> tuple[str, ...]:
+    """One sentence for each thing that the samples leave to the priors."""
+    unknown = [
+        name for name, told in zip(("slope", "drag"), posterior.told, strict=True) if told < _TOLD
+    ]
+    if not unknown:
+        return ()
+    if abs(posterior.correlation) > _TRADE:
+        return (f"drag and slope cannot be told apart in this log: {_seen(posterior)}",)
+    return tuple(
+        f"this log does not tell the {name}: its interval is what is known of balls, from "
+        f"{low:.3f} to {high:.3f}"
+        for name, (low, high) in zip(
+            ("slope", "drag"), posterior.interval95[1:].tolist(), strict=True
+        )
+        if name in unknown
+    )
+
+
+def _seen(posterior: BallPosterior) -> str:
+    """How many flights the fit has, the one that is cut off too."""
+    fit = posterior.fit
+    seconds = fit.samples.seconds
+    count = len(fit.projection().impacts(float(seconds[-1]))) if len(seconds) else 0
+    if not 0 < count <= _MOST_COUNTED:
+        return f"their correlation is {np.round(posterior.correlation, 2):+.2f}"
+    words = ("one flight", "two flights", "three flights", "four flights", "five flights")
+    return words[count - 1] if count <= len(words) else f"{count} flights"

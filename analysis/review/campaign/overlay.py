@@ -1,0 +1,154 @@
+"""The curves of the drop under the cursor: observed and tuned."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from analysis.campaign.tuned_drop import TunedDrop
+from analysis.review.campaign.times import ATTEMPT, Slot, beginnings, moments
+from analysis.review.drawing import (
+    FAILURE,
+    OBSERVED,
+    Color,
+    chart_view,
+    log_grid,
+    screen_radius,
+    ticks,
+)
+from tunenet_logs.arrays import Array
+
+_WIDTH = 1.9
+"""Of the chart of curves, in its heights: about the shape of its view."""
+
+_SIMULATED: Color = (255, 165, 40)
+
+_EVERY = 3
+"""The moving dot is at every third sample: it still goes smoothly, and the file stays small."""
+
+
+def overlay_view() -> rrb.View:
+    """Observed and simulated height of the drop of the attempt."""
+    title = "its drop: height above the table, observed (dots), tuned (line)"
+    return chart_view("overlay", title, _WIDTH)
+
+
+class _Axes(NamedTuple):
+    """What the chart of curves spans: seconds from a drop's beginning, and height [m]."""
+
+    span_s: float
+    top_m: float
+
+    def points(self, drop: TunedDrop, heights_m: Array) -> Array:
+        """Points of a curve in the chart, shape (T, 2), from heights of shape (T,)."""
+        assert drop.overlay is not None
+        seconds = drop.overlay.seconds - drop.overlay.seconds[0]
+        return np.column_stack([seconds / self.span_s * _WIDTH, -heights_m / self.top_m])
+
+
+def _axes(slots: Sequence[Slot]) -> _Axes:
+    overlays = [
+        shown.drop.overlay
+        for slot in slots
+        for shown in slot.drops
+        if shown.drop.overlay is not None
+    ]
+    if not overlays:
+        return _Axes(1.0, 1.0)
+    span_s = max(float(overlay.seconds[-1] - overlay.seconds[0]) for overlay in overlays)
+    top_m = max(float(np.nanmax(overlay.observed_m, initial=0.0)) for overlay in overlays)
+    return _Axes(span_s, max(1.02 * top_m, 1e-3))
+
+
+def log_overlays(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
+    """Send the entities of `overlay_view`."""
+    axes = _axes(slots)
+    rows = [(-height / axes.top_m, f"{height:g} m") for height in ticks(0.0, axes.top_m)]
+    marks = [(second / axes.span_s * _WIDTH, f"{second:g} s") for second in ticks(0.0, axes.span_s)]
+    log_grid(stream, "sheets/overlay", _WIDTH, rows, marks)
+    dots = rr.Points2D.from_fields(radii=screen_radius(1.6))
+    stream.log("sheets/overlay/observed", dots, static=True)
+    line = rr.LineStrips2D.from_fields(
+        colors=[_SIMULATED], radii=screen_radius(0.8), draw_order=25.0
+    )
+    stream.log("sheets/overlay/simulated", line, static=True)
+    for _, index, begun in beginnings(slots):
+        _send_overlays(stream, index, [shown.drop if shown else None for _, shown in begun], axes)
+    _log_now(stream, slots, axes)
+
+
+def _send_overlays(
+    stream: rr.RecordingStream,
+    index: rr.TimeColumn,
+    drops: Sequence[TunedDrop | None],
+    axes: _Axes,
+) -> None:
+    """One row a drop; an empty one where there is no curve, so that no other's stays."""
+    observed = [_observed(drop, axes) for drop in drops]
+    colors = [
+        FAILURE if drop is not None and drop.verdict == "rejected" else OBSERVED
+        for drop, points in zip(drops, observed, strict=True)
+        for _ in points
+    ]
+    lengths = [len(points) for points in observed]
+    if not lengths:
+        return
+    stream.send_columns(
+        "sheets/overlay/observed",
+        indexes=[index],
+        columns=rr.Points2D.columns(
+            positions=np.concatenate(observed).reshape(-1, 2), colors=colors
+        ).partition(lengths),
+    )
+    lines = [list(_simulated(drop, axes)) for drop in drops]
+    stream.send_columns(
+        "sheets/overlay/simulated",
+        indexes=[index],
+        columns=rr.LineStrips2D.columns(
+            strips=[strip for strips in lines for strip in strips]
+        ).partition([len(strips) for strips in lines]),
+    )
+
+
+def _observed(drop: TunedDrop | None, axes: _Axes) -> Array:
+    """Of the samples that are known, shape (T, 2)."""
+    if drop is None or drop.overlay is None:
+        return np.zeros((0, 2))
+    points = axes.points(drop, drop.overlay.observed_m)
+    return points[np.isfinite(points[:, 1])]
+
+
+def _simulated(drop: TunedDrop | None, axes: _Axes) -> Iterator[Array]:
+    """The stretches of the line that are known, each of shape (T, 2)."""
+    if drop is None or drop.overlay is None:
+        return
+    points = axes.points(drop, drop.overlay.simulated_m)
+    is_known = np.isfinite(points[:, 1])
+    for stretch in np.split(points, np.flatnonzero(np.diff(is_known)) + 1):
+        if len(stretch) > 1 and np.isfinite(stretch[0, 1]):
+            yield stretch
+
+
+def _log_now(stream: rr.RecordingStream, slots: Sequence[Slot], axes: _Axes) -> None:
+    """A dot that goes along the curves while the drops play; none until a drop has curves."""
+    entity = "sheets/overlay/now"
+    style = rr.Points2D.from_fields(colors=[OBSERVED], radii=screen_radius(5.0), draw_order=30.0)
+    stream.log(entity, style, static=True)
+    for name, index, begun in beginnings(slots):
+        if name != ATTEMPT:
+            empty = rr.Points2D.columns(positions=np.zeros((0, 2))).partition([0] * len(begun))
+            stream.send_columns(entity, indexes=[index], columns=empty)
+    for slot in slots:
+        for shown in slot.drops:
+            overlay = shown.drop.overlay
+            if overlay is None:
+                continue
+            seen = np.flatnonzero(np.isfinite(overlay.observed_m))[::_EVERY]
+            indexes = moments(slot, shown, overlay.seconds[seen].tolist())
+            points = axes.points(shown.drop, overlay.observed_m)[seen]
+            columns = rr.Points2D.columns(positions=points)
+            stream.send_columns(entity, indexes=indexes, columns=columns)

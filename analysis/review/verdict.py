@@ -1,0 +1,77 @@
+"""The verdict over a review: one coloured strip with large words, seen before all else."""
+
+from __future__ import annotations
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from analysis.checks import Verdict
+from analysis.record import Record
+from analysis.review.drawing import FAILURE, SUCCESS, Color
+
+VERDICT_COLORS: dict[Verdict, Color] = {
+    "ok": SUCCESS,
+    "suspect": (245, 185, 60),
+    "rejected": FAILURE,
+}
+"""Green, amber, red."""
+
+VERDICT_SHARE = 0.075
+"""Of a review's height."""
+
+_INK: Color = (16, 18, 24)
+
+_SIZE_PX = (3600, 90)
+"""Width and height of the strip's picture."""
+
+_FONT = 2
+"""OpenCV's number of a plain sans serif with two strokes."""
+
+_MOST_LETTERS = 90
+"""What there is room for."""
+
+
+def log_verdict(stream: rr.RecordingStream, record: Record) -> rrb.View:
+    """Send the strip; its view. Static, so that it stays on any timeline."""
+    import cv2
+
+    color = VERDICT_COLORS[record.verdict]
+    width, height = _SIZE_PX
+    strip = np.full((height, width, 3), color, np.uint8)
+    left = height // 3
+    base = round(0.76 * height)
+    word = record.verdict.upper()
+    cv2.putText(strip, word, (left, base), _FONT, 2.6, _INK, 5, cv2.LINE_AA)
+    (wide, _), _ = cv2.getTextSize(word, _FONT, 2.6, 5)
+    place = (left + wide + height // 2, base)
+    cv2.putText(strip, _beside(record), place, _FONT, 1.8, _INK, 3, cv2.LINE_AA)
+    image = rr.Image(strip).compress(jpeg_quality=95)
+    stream.log("verdict", image, static=True)
+    return rrb.Spatial2DView(
+        origin="/verdict",
+        name=f"verdict: {record.verdict}",
+        background=color,
+        visual_bounds=rrb.VisualBounds2D(x_range=(0, width), y_range=(0, height)),
+    )
+
+
+def _beside(record: Record) -> str:
+    """What was found and what failed: as much as there is room for, in letters that it can draw."""
+    failed = [check for check in record.checks if not check.passed]
+    failed.sort(key=lambda check: not check.fatal)
+    parts = [
+        ", ".join(
+            f"{known.name.replace('_', ' ')} {round(known.value, 3) + 0.0:.3f}"
+            + ("" if known.unit == "1" else f" {known.unit}")
+            for known in record.estimates
+            if not isinstance(known.value, tuple)
+        )
+    ]
+    if failed:
+        parts.append("failed: " + ", ".join(check.name for check in failed))
+    elif record.reason:
+        parts.append(record.reason.partition("; at the next")[0])
+    words = "   ".join(filter(None, parts))
+    plain = words.encode("ascii", "replace").decode()
+    return plain if len(plain) <= _MOST_LETTERS else plain[: _MOST_LETTERS - 3] + "..."

@@ -1,0 +1,86 @@
+"""A body that moves straight up and down in air, in closed form: where it is, and when it lands.
+
+dv/dt = -g - k v |v| with the drag k [1/m]. Upward that is a tangent of time, downward a hyperbolic
+one; without drag it is a parabola.
+"""
+
+from __future__ import annotations
+
+import math
+
+_NO_DRAG = 1e-9
+"""Drag [1/m] below which a flight is a parabola: over 100 m the air changes it by 1e-7."""
+
+
+def flown(
+    height_m: float, speed_m_s: float, seconds: float, gravity_m_s2: float, drag_1_m: float
+) -> tuple[float, float]:
+    """Height [m] and upward speed [m/s] after a time of free flight."""
+    if drag_1_m < _NO_DRAG:
+        after = speed_m_s - gravity_m_s2 * seconds
+        return height_m + (speed_m_s + after) / 2 * seconds, after
+    rate, terminal = _scales(gravity_m_s2, drag_1_m)
+    if speed_m_s > 0:
+        angle = math.atan(speed_m_s / terminal)
+        rises_s = angle / rate
+        if seconds < rises_s:
+            left = angle - rate * seconds
+            rise = math.log(math.cos(left) / math.cos(angle)) / drag_1_m
+            return height_m + rise, terminal * math.tan(left)
+        height_m += math.log(math.hypot(1.0, speed_m_s / terminal)) / drag_1_m
+        seconds, speed_m_s = seconds - rises_s, 0.0
+    return _fallen(height_m, speed_m_s, seconds, rate, terminal, drag_1_m)
+
+
+def lands_after_s(height_m: float, speed_m_s: float, gravity_m_s2: float, drag_1_m: float) -> float:
+    """Time until a body at this height [m] and upward speed [m/s] is at height 0."""
+    if drag_1_m < _NO_DRAG:
+        reach = math.sqrt(speed_m_s**2 + 2 * gravity_m_s2 * height_m)
+        return (speed_m_s + reach) / gravity_m_s2
+    rate, terminal = _scales(gravity_m_s2, drag_1_m)
+    before_s = 0.0
+    if speed_m_s > 0:
+        before_s = math.atan(speed_m_s / terminal) / rate
+        height_m += math.log(math.hypot(1.0, speed_m_s / terminal)) / drag_1_m
+        speed_m_s = 0.0
+    fallen_s = math.atanh(min(-speed_m_s / terminal, _FASTEST)) / rate
+    fallen_m = _log_cosh(rate * fallen_s) / drag_1_m
+    return before_s + _arccosh_exp(drag_1_m * (height_m + fallen_m)) / rate - fallen_s
+
+
+_FASTEST = 1 - 1e-12
+"""Of the terminal speed: a fall from rest comes no nearer in double precision."""
+
+
+def _scales(gravity_m_s2: float, drag_1_m: float) -> tuple[float, float]:
+    """Rate [1/s] and terminal speed [m/s] of a fall."""
+    return math.sqrt(gravity_m_s2 * drag_1_m), math.sqrt(gravity_m_s2 / drag_1_m)
+
+
+def _fallen(
+    height_m: float,
+    speed_m_s: float,
+    seconds: float,
+    rate: float,
+    terminal: float,
+    drag_1_m: float,
+) -> tuple[float, float]:
+    """The downward part of a flight: a later part of a fall from rest."""
+    since = math.atanh(min(-speed_m_s / terminal, _FASTEST))
+    until = since + rate * seconds
+    fall_m = (_log_cosh(until) - _log_cosh(since)) / drag_1_m
+    return height_m - fall_m, -terminal * math.tanh(until)
+
+
+def _log_cosh(value: float) -> float:
+    """log(cosh(value)), also of values whose cosh is too large, or too near to 1."""
+    if value < 1:
+        return math.log1p(2 * math.sinh(value / 2) ** 2)
+    return value + math.log1p(math.exp(-2 * value)) - math.log(2)
+
+
+def _arccosh_exp(value: float) -> float:
+    """arccosh(e^value), exact for a small one too."""
+    if value > 20:
+        return value + math.log(2)
+    return math.asinh(math.sqrt(math.expm1(2 * value)))

@@ -1,0 +1,123 @@
+"""The tuned simulator moves like the ball, and what does not is told."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from analysis.evaluation.real_balls.drops import record_drop
+from analysis.evaluation.real_balls.physics import RealBall
+from analysis.record import Motion, record_of
+from analysis.record_json import read_record, to_json
+from analysis.selection import Options
+from analysis.tuning import tune_episode
+from tunenet_logs.episode import Episode
+
+LIGHT = RealBall(0.8, 0.06, 0.12, 1.4)
+"""A table-tennis ball from 1.4 m, by an integrator that shares nothing with fit or simulator."""
+
+
+def recorded(ball: RealBall, noise_m: float = 0.001, seed: int = 3) -> Episode:
+    return record_drop(ball, 120.0, noise_m, np.random.default_rng(seed)).episode()
+
+
+def motion_of(episode: Episode, **options: object) -> tuple[str, Motion]:
+    tuning = tune_episode(episode, Options(**options))  # type: ignore[arg-type]
+    return tuning.verdict, record_of(tuning).motion
+
+
+def test_the_tuned_rollout_lies_on_the_samples():
+    verdict, motion = motion_of(recorded(LIGHT))
+    assert verdict == "ok"
+    assert motion.fit is not None
+    assert motion.curves is not None
+    assert motion.fit.excess_percent < 0.1
+    assert motion.fit.held_out_percent is not None
+    assert motion.fit.held_out_percent < 0.3
+    off_m = motion.curves.simulated_m - motion.curves.observed_m
+    assert np.nanstd(off_m) == pytest.approx(0.001, rel=0.15)
+
+
+def test_a_simulator_without_air_does_not_move_like_it():
+    """One parameter leaves the observation, and says so, whatever it is itself."""
+    verdict, motion = motion_of(recorded(LIGHT), method="brent")
+    assert verdict != "ok"
+    assert motion.fit is not None
+    assert motion.fit.excess_percent > 1
+
+
+def test_the_equivalent_reaches_the_first_rebound():
+    episode = recorded(LIGHT, noise_m=0.0)
+    _, motion = motion_of(episode)
+    assert motion.equivalents is not None
+    assert motion.curves is not None
+    first, best = motion.equivalents.first, motion.equivalents.all
+    falls = np.flatnonzero(np.diff(np.sign(np.diff(motion.curves.observed_m))) > 0)
+    later = motion.curves.observed_m[falls[0] + 1 :]
+    rebound_m = later[: int(np.argmax(np.diff(later) < 0)) + 1].max()
+    assert first.restitution**2 * 1.4 == pytest.approx(rebound_m, abs=0.003)
+    assert first.restitution < 0.78
+    assert best.rms_percent < first.rms_percent
+    assert first.speeds_m_s[1] == pytest.approx(first.restitution * first.speeds_m_s[0])
+
+
+def test_a_ball_that_hits_something_later_is_not_ok():
+    """From the third flight on another ball: the tuned one leaves it visibly."""
+    episode = recorded(LIGHT, noise_m=0.0005)
+    other = recorded(RealBall(0.8, -0.2, 0.12, 1.4), noise_m=0.0005)
+    (topic, signal), (_, changed) = (next(iter(one.signals.items())) for one in (episode, other))
+    count = min(len(signal.values), len(changed.values))
+    values = signal.values[:count].copy()
+    late = np.arange(count) > 0.55 * count
+    values[late] = changed.values[:count][late]
+    mixed = replace(signal, stamps_ns=signal.stamps_ns[:count], values=values)
+    verdict, _ = motion_of(replace(episode, signals={topic: mixed}))
+    assert verdict != "ok"
+
+
+def test_curves_are_at_the_logs_own_stamps():
+    episode = recorded(LIGHT)
+    _, motion = motion_of(episode)
+    assert motion.curves is not None
+    stamps_ns = motion.curves.start_ns + np.round(motion.curves.seconds * 1e9).astype(np.int64)
+    (signal,) = episode.signals.values()
+    assert np.isin(stamps_ns, signal.stamps_ns).all()
+
+
+def test_a_record_keeps_motion_and_vector(tmp_path: Path):
+    record = record_of(tune_episode(recorded(LIGHT), Options(), Path("a.mcap")))
+    path = tmp_path / "a.json"
+    path.write_text(to_json(record))
+    again = read_record(path)
+    assert again.motion.fit == record.motion.fit
+    assert again.motion.equivalents == record.motion.equivalents
+    assert {known.name for known in again.estimates} == {"restitution", "restitution_slope", "drag"}
+    fields = json.loads(path.read_text())
+    assert {"rms_percent", "excess_percent", "held_out_percent"} <= fields["simulation_fit"].keys()
+    assert set(fields["iterations"][0]) == {"k", "restitution", "restitution_slope", "drag"}
+
+
+def test_a_vector_of_first_values_is_taken():
+    tuning = tune_episode(recorded(LIGHT), Options(initial=(0.5, 0.02), method="tunenet"))
+    assert tuning.trace is not None
+    assert tuning.trace.steps[0].values == pytest.approx([0.5, 0.02, 0.0])
+    assert tuning.estimate == pytest.approx([0.8, 0.06, 0.12], abs=0.02)
+
+
+@pytest.mark.slow
+def test_the_network_alone_walks_all_three():
+    """No noise, K = 5, random balls: medians of .0003, .001 and .001 (drag times height)."""
+    rng = np.random.default_rng(5)
+    off: list[np.ndarray] = []
+    for _ in range(30):
+        truth = rng.uniform((0.3, 0.0, 0.0), (0.95, 0.12, 0.25))
+        episode = recorded(RealBall(truth[0], truth[1], truth[2], 1.0), noise_m=0.0)
+        start = tuple(rng.uniform((0.3, 0.0, 0.0), (0.95, 0.12, 0.25)).tolist())
+        tuning = tune_episode(episode, Options(initial=start, method="tunenet"))
+        assert tuning.trace is not None
+        off.append(np.abs(tuning.trace.estimate - truth))
+    assert np.all(np.median(off, axis=0) < (0.0005, 0.002, 0.002))
