@@ -195,9 +195,10 @@ class FilmDetection:
         """The fit to what is seen until then [s]; None where that is too little."""
         fit = self.film.fit
         samples = fit.samples.only(fit.samples.seconds <= until_s)
+        samples = replace(samples, bends_s=tuple(at for at in samples.bends_s if at < until_s))
         if len(samples.seconds) < FEWEST_SAMPLES:
             return None
-        return fit_bounce(samples, fit.unknowns, fit.free)
+        return fit_bounce(samples, fit.unknowns, samples.unknowns)
 
     @property
     def extent(self) -> tuple[str, str]:
