@@ -55,6 +55,6 @@ clean:
 	@touch $@
 
 .venv/developing: .venv/installed
-	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_ARGS) -e '.[dev,eval,ros2]'
+	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_ARGS) -e '.[dev,eval,ros2,tables]'
 	$(BIN)/pyright --version
 	@touch $@

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from analysis.checks import Check, CrossCheck
 from analysis.estimators.base import FitResult, Problem, Step, Trace
-from analysis.record import Motion, Rebound
+from analysis.motion import Motion
+from analysis.record import Rebound
 from analysis.selection import Selection
 from analysis.tunenet.checkpoint import Purpose
 from analysis.tunenet.network import Network

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from analysis.checks import Check, CrossCheck, Verdict
 from analysis.estimators.base import Trace
+from analysis.motion import Motion
 from recorders.simulators.base import Parameter
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
@@ -85,9 +86,6 @@ class Tuning:
 Interval = tuple[float, float]
 """Lower and upper end."""
 
-MOST_SAMPLES = 20_000
-"""Of one curve: a minute of what the fastest motion capture sees."""
-
 
 @dataclass(frozen=True)
 class Estimate:
@@ -121,104 +119,6 @@ class Rebound:
     restitution: float
     interval95: Interval | None
     impact_speed_m_s: float | None
-
-
-@dataclass(frozen=True, eq=False)
-class Curves:
-    """A recorded height and the tuned simulator's, at the observation's own stamps.
-
-    Attributes:
-        start_ns: the stamp that the seconds count from [ns].
-        seconds: shape (T,), rising.
-        observed_m: heights above the table [m], shape (T,).
-        simulated_m: those of the tuned simulator [m], shape (T,); NaN where it was not simulated.
-    """
-
-    start_ns: int
-    seconds: Array
-    observed_m: Array
-    simulated_m: Array
-
-
-@dataclass(frozen=True)
-class SimulationFit:
-    """How far the tuned rollout is from what was observed, from the release to the last bounce.
-
-    Attributes:
-        rms_percent: root mean square of the distances [% of the drop height].
-        worst_percent: the largest of them.
-        noise_percent: what the observation's own noise makes of the first.
-        held_out_percent: like `excess_percent`, for the last 40 % of the time, by a fit to the
-            first 60 %; None where that shows too little.
-        samples: compared.
-        left_out: samples that are something else than the ball.
-        noise: of a sample, in `unit`.
-        unit: "m", or "px" of a film.
-    """
-
-    rms_percent: float
-    worst_percent: float
-    noise_percent: float
-    held_out_percent: float | None
-    samples: int
-    left_out: int
-    noise: float
-    unit: str
-
-    @property
-    def excess_percent(self) -> float:
-        """What is left of the rms without the noise."""
-        return excess(self.rms_percent, self.noise_percent)
-
-
-def excess(rms: float, noise: float) -> float:
-    """What is left of a root mean square without the noise in it."""
-    return max(rms**2 - noise**2, 0.0) ** 0.5
-
-
-@dataclass(frozen=True)
-class Equivalent:
-    """The ball in a simulator without air, dropped from the same height at the same moment.
-
-    Attributes:
-        restitution: there, the same at every impact.
-        rms_percent: how far that is from the observation [% of the drop height].
-        speeds_m_s: of its impacts, as far as bounces are in view.
-    """
-
-    restitution: float
-    rms_percent: float
-    speeds_m_s: tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class Equivalents:
-    """For simulators without air.
-
-    Attributes:
-        first: with which the first rebound is as high.
-        all: which is the best over all bounces in view.
-    """
-
-    first: Equivalent
-    all: Equivalent
-
-
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """The tuned simulator's motion beside the observed one.
-
-    Attributes:
-        curves: both.
-        fit: how far they are apart.
-        equivalents: for simulators without air.
-        untold: what the log does not tell of the parameters, in words.
-    """
-
-    curves: Curves | None = None
-    fit: SimulationFit | None = None
-    equivalents: Equivalents | None = None
-    untold: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -285,7 +185,7 @@ class Record:
     window: Mapping[str, float] | None = None
     seconds: Mapping[str, float] = field(default_factory=dict)
     provenance: Provenance | None = None
-    motion: Motion = Motion()
+    motion: Motion = field(default_factory=Motion)
 
     def estimate(self, name: str) -> Estimate | None:
         """The quantity of that name; None where it was not found."""
@@ -305,13 +205,18 @@ def record_of(tuning: Tuning, provenance: Provenance | None = None) -> Record:
         for extra in trace.fit.extra if trace and trace.fit else ():
             ends = None if intervals is None else tuple(map(tuple, extra.interval95.tolist()))
             estimates.append(Estimate(extra.name, extra.unit, tuple(extra.values.tolist()), ends))
-    motion, rebounds, iterations = None, (), ()
+    motion, rebounds, iterations = Motion(), (), ()
     if trace is not None and experiment is not None:
         names = [parameter.name for parameter in tuning.parameters]
         iterations = tuple(
             dict(zip(names, step.values.tolist(), strict=True)) for step in trace.steps
         )
-        motion = experiment.motion(detection, trace)
+        motion = experiment.motion(detection, trace) or Motion()
+        estimates = [one for one in estimates if one.name not in motion.unknown]
+        iterations = tuple(
+            {name: value for name, value in step.items() if name not in motion.unknown}
+            for step in iterations
+        )
         if estimates and tuning.physical:
             rebounds = experiment.rebounds(detection, trace)
         if intervals is None:
@@ -344,5 +249,5 @@ def record_of(tuning: Tuning, provenance: Provenance | None = None) -> Record:
         window=window,
         seconds=tuning.seconds,
         provenance=provenance,
-        motion=motion or Motion(),
+        motion=motion,
     )

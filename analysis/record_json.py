@@ -12,19 +12,16 @@ from typing import Any, TypeVar, get_args
 import numpy as np
 
 from analysis.checks import Check, CrossCheck, Verdict
-from analysis.record import (
+from analysis.motion import (
     MOST_SAMPLES,
     Curves,
     Equivalent,
     Equivalents,
-    Estimate,
-    Interval,
     Motion,
-    Provenance,
-    Rebound,
-    Record,
     SimulationFit,
+    Units,
 )
+from analysis.record import Estimate, Interval, Provenance, Rebound, Record
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import LogError
 from tunenet_logs.terminal import one_line
@@ -50,11 +47,7 @@ def to_json(record: Record) -> str:
         "task": record.task,
         "verdict": record.verdict,
         "reason": record.reason,
-        "parameters": {
-            known.name: {"value": known.value, "interval95": known.interval95, "unit": known.unit}
-            for known in record.estimates
-        }
-        or None,
+        "parameters": _parameters(record) or None,
         "physical": record.physical,
         "method": record.method,
         "rollouts": record.rollouts,
@@ -77,6 +70,7 @@ def to_json(record: Record) -> str:
         "equivalent": motion.equivalents
         and {**asdict(motion.equivalents), "speeds": motion.equivalents.first.speeds_m_s},
         "untold": motion.untold,
+        "units": motion.units and _units(motion.units),
         "cross_check": cross
         and {"method": cross.method, "value": cross.value, "agrees": cross.agrees},
         "checks": [
@@ -108,6 +102,26 @@ def to_json(record: Record) -> str:
         line = json.dumps(curves, allow_nan=False)
         text = f'{text.removesuffix("}").rstrip()},\n "curves": {line}\n}}'
     return text + "\n"
+
+
+def _parameters(record: Record) -> dict[str, Any]:
+    """What was found; null where it needs units that the log does not tell."""
+    found: dict[str, Any] = {
+        known.name: {"value": known.value, "interval95": known.interval95, "unit": known.unit}
+        for known in record.estimates
+    }
+    unknown = record.motion.unknown if found else ()
+    return found | {name: {"value": None, "interval95": None} for name in unknown}
+
+
+def _units(units: Units) -> dict[str, Any]:
+    """Who says in which units a log is."""
+    return {
+        "length_m": units.length_m,
+        "length_by": units.length_by,
+        "rate_hz": units.rate_hz,
+        "rate_by": units.rate_by,
+    }
 
 
 def _rounded(heights_m: Array) -> list[float | None]:
@@ -160,7 +174,9 @@ def record_from(fields: Mapping[str, Any]) -> Record:
         verdict=fields["verdict"],
         reason=_optional(str, fields.get("reason")),
         estimates=tuple(
-            _estimate(str(name), known) for name, known in (fields["parameters"] or {}).items()
+            _estimate(str(name), known)
+            for name, known in (fields["parameters"] or {}).items()
+            if known["value"] is not None
         ),
         physical=bool(fields.get("physical", True)),
         method=_optional(str, fields.get("method")),
@@ -195,6 +211,12 @@ def record_from(fields: Mapping[str, Any]) -> Record:
             _optional(_simulation_fit, fields.get("simulation_fit")),
             _optional(_equivalents, fields.get("equivalent")),
             tuple(map(str, fields.get("untold") or ())),
+            tuple(
+                str(name)
+                for name, known in (fields["parameters"] or {}).items()
+                if known["value"] is None
+            ),
+            _optional(_read_units, fields.get("units")),
         ),
     )
 
@@ -274,6 +296,15 @@ def _equivalent(fields: Mapping[str, Any]) -> Equivalent:
         _number("rms_percent", fields["rms_percent"]),
         tuple(_number("speed", speed) for speed in fields["speeds_m_s"]),
     )
+
+
+def _read_units(fields: Mapping[str, Any]) -> Units:
+    length_m, rate_hz = (
+        _optional(lambda value, name=name: _number(name, value), fields[name])
+        for name in ("length_m", "rate_hz")
+    )
+    length_by, rate_by = (_optional(str, fields[name]) for name in ("length_by", "rate_by"))
+    return Units(length_m, length_by, rate_hz, rate_by)
 
 
 def _curves(fields: Mapping[str, Any]) -> Curves:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 EXPERIMENTS = {
     "drop": "analysis.drop.from_positions:DropFromPositions",
     "drop-video": "analysis.drop.from_film:DropFromFilm",
+    "drop-times": "analysis.drop.from_times:DropFromTimes",
     "payload": "analysis.payload.experiment:PayloadExperiment",
 }
 """Name -> module:class. One kind of experiment may be observed in several ways: KIND-WAY."""

@@ -8,6 +8,7 @@ from pathlib import Path
 from recorders.simulators.balls import UNKNOWN_BALL, Ball
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import NotFoundError
+from tunenet_logs.formats.read_options import AS_IT_SAYS, ReadOptions
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,7 @@ class Selection:
         ball: what was dropped: then the air's drag on it is known.
         tare: a log of the same arm with nothing in its gripper, or what was read of one.
         arm: whose URDF, and the link that holds the payload; None for the Jaco.
+        height_m: of the drop, for a log of impact times alone [m].
     """
 
     topic: str | None = None
@@ -46,6 +48,7 @@ class Selection:
     ball: Ball = UNKNOWN_BALL
     tare: Path | Episode | None = None
     arm: tuple[Path, str] | None = None
+    height_m: float | None = None
 
     @property
     def film_options(self) -> tuple[str, ...]:
@@ -75,6 +78,7 @@ class Options:
     """What a user may choose; see `tunenet-tune --help`.
 
     Attributes:
+        reading: what is said of a file that does not say it itself.
         task: the kind of experiment; None to go by the log.
         iterations: most rollouts of the method, before the last one, which checks its answer.
         initial: one value a parameter; None for the method's own.
@@ -89,6 +93,7 @@ class Options:
     method: str | None = None
     weights: Path | None = None
     selection: Selection = field(default_factory=Selection)
+    reading: ReadOptions = AS_IT_SAYS
 
 
 def check_start(start_s: float | None, length_s: float) -> None:

@@ -46,7 +46,7 @@ def tune_log(path: Path, options: Options) -> Tuning:
     """
     watch = Stopwatch()
     try:
-        episode = read_episode(path)
+        episode = read_episode(path, options.reading)
     except TuneNetError as error:
         watch.lap("read")
         reason = str(error).removeprefix(f"{path}: ")

@@ -19,7 +19,17 @@ ALLOWED = {
     "analysis": {"tunenet_logs", "recorders", "analysis"},
 }
 HEAVY = {"torch", "pybullet", "rerun", "cv2", "av", "pinocchio", "pandas", "tqdm", "google"}
-HEAVY |= {"cma", "optuna", "sklearn", "matplotlib", "cyclonedds", "sbi"}
+HEAVY |= {
+    "cma",
+    "optuna",
+    "sklearn",
+    "matplotlib",
+    "cyclonedds",
+    "sbi",
+    "ezc3d",
+    "pyarrow",
+    "python_calamine",
+}
 OWNERS = {"rerun": "review", "cyclonedds": "ros2"}
 """The folders, by name, whose modules may import a library at module level."""
 ENGINE_FOLDERS = {"pybullet": "recorders.simulators.pybullet"}

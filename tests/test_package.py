@@ -29,6 +29,16 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "site"
 
 
+def test_the_wheel_holds_every_file(installed: Path):
+    wanted = {
+        path.relative_to(ROOT)
+        for name in ("tunenet_logs", "recorders", "analysis")
+        for path in (ROOT / name).rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    }
+    assert wanted == {one for one in wanted if (installed / one).is_file()}
+
+
 def test_commands_of_the_wheel_work_where_the_user_has_an_analysis_folder(
     installed: Path, tmp_path: Path
 ):

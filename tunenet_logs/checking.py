@@ -7,6 +7,7 @@ from pathlib import Path
 
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import LogError
+from tunenet_logs.formats.read_options import AS_IT_SAYS, ReadOptions
 from tunenet_logs.reader import read_episode
 from tunenet_logs.terminal import Progress
 
@@ -25,13 +26,13 @@ class Health:
     doubts: tuple[str, ...]
 
 
-def check(path: Path, progress: Progress) -> Health:
+def check(path: Path, progress: Progress, options: ReadOptions = AS_IT_SAYS) -> Health:
     """Read all of a log, and decode all of its pictures.
 
     Raises:
         LogError: nothing of it can be read.
     """
-    episode = read_episode(path)
+    episode = read_episode(path, options)
     damage = list(episode.losses)
     for topic in episode.picture_topics:
         damage += _picture_damage(episode, topic, progress)

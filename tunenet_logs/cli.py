@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from tunenet_logs.commandline import Parser, run
+from tunenet_logs.commandline import Parser, read_options_of, reading_options, run
 from tunenet_logs.errors import TuneNetError
 from tunenet_logs.terminal import Progress, one_line
 
@@ -70,6 +70,9 @@ _IMPORT_EXAMPLES = """\
   tunenet-logs import rosbag2_2026_11_02/ -o drop.mcap"""
 
 
+_UNSAID = "what a file does not say itself"
+
+
 def build_parser() -> Parser:
     """The command's arguments."""
     parser = Parser("tunenet-logs", _DESCRIPTION, _EXAMPLES)
@@ -84,9 +87,11 @@ def build_parser() -> Parser:
 
     info = verb("info", _INFO, _INFO_EXAMPLES, _info)
     info.add_argument("logs", nargs="+", type=Path, metavar="LOG")
+    reading_options(info.add_argument_group(_UNSAID))
     check = verb("check", _CHECK, _CHECK_EXAMPLES, _check)
     check.add_argument("logs", nargs="+", type=Path, metavar="LOG")
     check.add_argument("--quiet", action="store_true", help="no progress bar")
+    reading_options(check.add_argument_group(_UNSAID))
     for name, description, examples, body in (
         ("recover", _RECOVER, _RECOVER_EXAMPLES, _recover),
         ("import", _IMPORT, _IMPORT_EXAMPLES, _import),
@@ -99,6 +104,8 @@ def build_parser() -> Parser:
         add("-o", "--output", type=Path, metavar="OUT", required=required, help=where)
         add("--overwrite", action="store_true", help="replace an existing log")
         add("--quiet", action="store_true", help="no progress bar")
+        if not required:
+            reading_options(copying.add_argument_group(_UNSAID))
     return parser
 
 
@@ -126,7 +133,7 @@ def _info(arguments: argparse.Namespace) -> int:
     from tunenet_logs.reader import read_episode
 
     def show(log: Path) -> bool:
-        print(describe(log, read_episode(log)))
+        print(describe(log, read_episode(log, read_options_of(arguments))))
         return True
 
     return _each(arguments.logs, show)
@@ -136,7 +143,7 @@ def _check(arguments: argparse.Namespace) -> int:
     from tunenet_logs.checking import check
 
     def show(log: Path) -> bool:
-        health = check(log, Progress(quiet=arguments.quiet))
+        health = check(log, Progress(quiet=arguments.quiet), read_options_of(arguments))
         channels = health.episode.channels
         held = (
             f"{sum(channel.messages for channel in channels)} messages in {len(channels)} channels"
@@ -173,7 +180,13 @@ def _import(arguments: argparse.Namespace) -> int:
     log = arguments.log
     output = arguments.output or log.parent / f"{log.resolve().stem}.mcap"
     progress = Progress(quiet=arguments.quiet)
-    imported = import_log(log, output, overwrite=arguments.overwrite, progress=progress)
+    imported = import_log(
+        log,
+        output,
+        overwrite=arguments.overwrite,
+        progress=progress,
+        options=read_options_of(arguments),
+    )
     print(one_line(f"{output}: {imported.messages} messages from {log}"))
     for line in imported.renamed:
         print(one_line(f"  renamed: {line}"))

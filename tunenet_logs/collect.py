@@ -37,9 +37,17 @@ class _SampleBuffer:
 
 @dataclass(eq=False)
 class PositionRows:
-    """Positions [m] of one topic, apart by body and frame."""
+    """Positions of one topic, apart by body and frame.
+
+    Attributes:
+        topic: its name.
+        unit: of the signals.
+        scale: what makes it of the messages' own.
+    """
 
     topic: str
+    unit: str = "m"
+    scale: float = 1.0
     _rows: dict[tuple[str, str], _SampleBuffer] = field(default_factory=dict, init=False)
 
     def add(self, log_ns: int, positions: Iterable[PositionSample]) -> None:
@@ -60,7 +68,7 @@ class PositionRows:
             rows.values.extend((x, y, z))
 
     def signals(self) -> tuple[list[Signal], list[str]]:
-        """A signal [m] for each body and frame, and what was repaired."""
+        """A signal for each body and frame, and what was repaired."""
         found: list[Signal] = []
         notes: list[str] = []
         taken: set[str] = set()
@@ -75,7 +83,9 @@ class PositionRows:
             )
             values = np.frombuffer(rows.values, np.float64).reshape(-1, 3)[keep]
             values[~np.isfinite(values)] = np.nan
-            found.append(Signal(full, stamps_ns, values, ("x", "y", "z"), "m"))
+            if self.scale != 1.0:
+                values = values * self.scale
+            found.append(Signal(full, stamps_ns, values, ("x", "y", "z"), self.unit))
             notes += [f"{full}: {repair}" for repair in repairs]
         return found, notes
 

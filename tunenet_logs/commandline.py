@@ -12,11 +12,14 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 from tunenet_logs import __version__
 from tunenet_logs.errors import TuneNetError, UsageError
 from tunenet_logs.terminal import one_line
+
+if TYPE_CHECKING:
+    from tunenet_logs.formats.read_options import ReadOptions
 
 
 class Terminated(KeyboardInterrupt):
@@ -113,6 +116,54 @@ def _terminable() -> Iterator[None]:
     finally:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
         threading.excepthook = usual_hook
+
+
+def reading_options(group: argparse._ArgumentGroup) -> None:
+    """Add the options that say what a file does not say itself."""
+    add = group.add_argument
+    add(
+        "--columns",
+        metavar="NAME=COLUMN,...",
+        help="which column is which: t (time), frame, x, y, z, times (of impacts), position_1, "
+        "velocity_1, effort_1, current_1, ...; a column by its name, or by its number from 1; of a "
+        "log TOPIC.FIELD, as z=/vicon/ball.z_trans",
+    )
+    add(
+        "--fps",
+        type=number(1e-3, 1e7, "a second"),
+        metavar="RATE",
+        help="frames a second, of a file that counts frames and says no times",
+    )
+    add("--length-unit", metavar="UNIT", help="of positions: m, cm, mm, in, ft or px")
+    add(
+        "--torque-constants",
+        metavar="K1,K2,...",
+        help="torque at the joint for each A of its motor's current [N·m/A], joint by joint",
+    )
+
+
+def read_options_of(arguments: argparse.Namespace) -> ReadOptions:
+    """What `reading_options` were given.
+
+    Raises:
+        UsageError: one is not understood.
+    """
+    from tunenet_logs.formats.read_options import ReadOptions, columns_of
+    from tunenet_logs.formats.tables.meaning import LENGTHS
+
+    unit, constants = arguments.length_unit or "", arguments.torque_constants or ""
+    if unit and unit not in (*LENGTHS, "px"):
+        raise UsageError(f"--length-unit {unit[:20]!r} is not known; write m, cm, mm, in, ft or px")
+    try:
+        values = tuple(float(one) for one in constants.split(",") if constants)
+    except ValueError:
+        values = (0.0,)
+    if not all(0 < abs(value) < 1e6 for value in values):
+        raise UsageError(
+            f"--torque-constants {constants[:40]!r} are no numbers; write them as 10.5,10.5,8.1"
+        )
+    columns = columns_of(arguments.columns) if arguments.columns else {}
+    return ReadOptions(columns, arguments.fps, unit, values)
 
 
 def _end_workers() -> None:

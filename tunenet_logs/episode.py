@@ -15,6 +15,12 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     import pandas as pd
 
+UNSTATED = ""
+"""The unit of lengths of which nobody says what they are."""
+
+FRAME_NS = 10_000_000
+"""What a stamp counts for each frame where nothing says how many there are in a second."""
+
 FORMAT_VERSION = "1"
 """Of the info record, in every log: a later one can tell by it what it reads."""
 
@@ -28,7 +34,9 @@ class Signal:
         stamps_ns: acquisition times [ns], int64, shape (T,), strictly increasing.
         values: float64, shape (T, C), read-only; NaN only where a sample is missing.
         columns: the C names of the channels.
-        unit: unit of all values ("m", "rad", "N·m", "px", "1").
+        unit: unit of all values ("m", "rad", "N·m", "A", "px", "1"); `UNSTATED` of a position in a
+            unit of length that nobody names.
+        counts_frames: whether the stamps count frames, `FRAME_NS` each, whose rate is not known.
 
     Raises:
         ValueError: shapes disagree, or the stamps do not increase.
@@ -39,6 +47,7 @@ class Signal:
     values: NDArray[np.float64]
     columns: tuple[str, ...]
     unit: str
+    counts_frames: bool = False
 
     def __post_init__(self) -> None:
         stamps = np.array(self.stamps_ns, dtype=np.int64, order="C")  # copies
@@ -51,6 +60,11 @@ class Signal:
         for name, array in (("stamps_ns", stamps), ("values", values)):
             array.flags.writeable = False
             object.__setattr__(self, name, array)
+
+    @property
+    def is_position(self) -> bool:
+        """Whether it is where something was, in m or in a unit that a drop may tell."""
+        return self.columns == ("x", "y", "z") and self.unit in ("m", "px", UNSTATED)
 
     @property
     def seconds(self) -> NDArray[np.float64]:
@@ -206,6 +220,8 @@ class Episode:
         losses: those of them that mean damage: where it is, and how much was lost.
         tainted: why samples that were read may be wrong; "" where nothing speaks for that.
         open_frames: opens a fresh iterator over the frames of one of `picture_topics`.
+        frames_untimed: whether the stamps of frames count them, `FRAME_NS` each: then a film tells
+            a restitution, but no height and no speed.
     """
 
     info: EpisodeInfo
@@ -215,6 +231,7 @@ class Episode:
     losses: tuple[str, ...] = ()
     tainted: str = ""
     open_frames: Callable[[str], Iterator[Frame]] | None = None
+    frames_untimed: bool = False
 
     @property
     def picture_topics(self) -> tuple[str, ...]:

@@ -10,8 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
+from tunenet_logs import messages
 from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame, Signal
 from tunenet_logs.errors import LogError, UsageError
+from tunenet_logs.formats.read_options import AS_IT_SAYS, ReadOptions
+from tunenet_logs.import_notes import is_impacts, notes_of, notes_of_frames
 from tunenet_logs.jpeg import compressed
 from tunenet_logs.output.log_place import LogPlace
 from tunenet_logs.reader import read_episode
@@ -49,7 +52,12 @@ class Imported:
 
 
 def import_log(
-    path: Path, output: Path, *, overwrite: bool = False, progress: Progress | None = None
+    path: Path,
+    output: Path,
+    *,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+    options: ReadOptions = AS_IT_SAYS,
 ) -> Imported:
     """Write positions, joints and pictures of a log to `output`, in the order of their stamps.
 
@@ -64,12 +72,13 @@ def import_log(
         raise UsageError(f"{output}: name a .mcap file with -o")
     if output.exists() and path.exists() and output.samefile(path):
         raise UsageError(f"{output}: is the log itself, which is never changed; choose another -o")
-    episode = read_episode(path)
+    episode = read_episode(path, options)
     topics = _Topics({*episode.signals, *episode.picture_topics, *joint_topics(episode)})
-    streams = [*_signal_streams(episode, topics), *_picture_streams(episode, topics)]
+    said = notes_of_frames(episode)
+    streams = [*_signal_streams(episode, topics, said), *_picture_streams(episode, topics)]
     if not streams:
         raise LogError(_why_nothing(path, episode))
-    notes = {**episode.info.notes, "imported_from": path.name}
+    notes = {**episode.info.notes, **said, "imported_from": path.name}
     source = episode.info.source or path.name
     info = replace(episode.info, source=source, notes=notes)
     total = sum(channel.messages for channel in episode.channels if channel.skipped is None)
@@ -154,13 +163,19 @@ def _described(channel: Channel) -> str:
 
 
 def _signal_streams(
-    episode: Episode, topics: _Topics
+    episode: Episode, topics: _Topics, said: dict[str, str]
 ) -> Iterator[Iterator[tuple[int, str, Write]]]:
+    """Messages of each signal; `said` gets the notes on what they cannot say."""
     for name, signal in episode.signals.items():
-        if signal.columns == _POSITION_COLUMNS and signal.unit == "m":
-            yield _poses(topics.claim(name), signal)
-    for topic, parts in joint_topics(episode).items():
-        yield _joint_states(topics.claim(topic), parts)
+        if signal.is_position or is_impacts(signal):
+            topic = topics.claim(name)
+            said |= notes_of(signal, topic)
+            yield _poses(topic, signal) if signal.is_position else _impacts(topic, signal)
+    for name, parts in joint_topics(episode).items():
+        topic = topics.claim(name)
+        for part, signal in parts.items():
+            said |= notes_of(signal, f"{topic}.{part}")
+        yield _joint_states(topic, parts)
 
 
 def joint_topics(episode: Episode) -> dict[str, dict[str, Signal]]:
@@ -184,16 +199,49 @@ def _poses(topic: str, signal: Signal) -> Iterator[tuple[int, str, Write]]:
         yield stamp_ns, topic, write
 
 
-def _joint_states(topic: str, parts: dict[str, Signal]) -> Iterator[tuple[int, str, Write]]:
-    """The parts of one topic have the same stamps: they came in the same messages."""
-    first = next(iter(parts.values()))
-    for row, stamp_ns in enumerate(first.stamps_ns.tolist()):
+def _impacts(topic: str, signal: Signal) -> Iterator[tuple[int, str, Write]]:
+    """A header for each: nothing is known of an impact but its time."""
+    for stamp_ns in signal.stamps_ns.tolist():
 
-        def write(writer: EpisodeWriter, stamp: int = stamp_ns, row: int = row) -> None:
-            values = [parts[part].values[row] if part in parts else () for part in JOINT_PARTS]
-            writer.write_joints(topic, stamp, first.columns, *values)
+        def write(writer: EpisodeWriter, stamp: int = stamp_ns) -> None:
+            data = messages.encode(messages.header(stamp, ""), messages.HEADER)
+            writer.write_message(topic, messages.HEADER, stamp, data)
 
         yield stamp_ns, topic, write
+
+
+def _joint_states(topic: str, parts: dict[str, Signal]) -> Iterator[tuple[int, str, Write]]:
+    """Messages of every joint that a part has, at every stamp of a part.
+
+    Parts that came in the same messages have the same stamps and joints; those of a table need not.
+    """
+    names = list(dict.fromkeys(name for part in parts.values() for name in part.columns))
+    rows = {
+        part: dict(zip(signal.stamps_ns.tolist(), range(len(signal.stamps_ns)), strict=True))
+        for part, signal in parts.items()
+    }
+    places = {part: [names.index(name) for name in parts[part].columns] for part in parts}
+    for stamp_ns in sorted(set().union(*rows.values())):
+
+        def write(writer: EpisodeWriter, stamp: int = stamp_ns) -> None:
+            quantities = [
+                _spread(parts[part].values[rows[part][stamp]], places[part], len(names))
+                if part in parts and stamp in rows[part]
+                else ()
+                for part in JOINT_PARTS
+            ]
+            writer.write_joints(topic, stamp, names, *quantities)
+
+        yield stamp_ns, topic, write
+
+
+def _spread(values: np.ndarray, places: list[int], count: int) -> np.ndarray:
+    """Values of some of `count` joints, NaN for the others."""
+    if places == list(range(count)):
+        return values
+    spread = np.full(count, np.nan)
+    spread[places] = values
+    return spread
 
 
 def _picture_streams(

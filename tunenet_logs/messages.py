@@ -18,6 +18,7 @@ from rosbags.typesys.store import Typestore
 from tunenet_logs.episode import Frame
 
 # Types that are written, as ROS 2 names them.
+HEADER = "std_msgs/msg/Header"
 POSE = "geometry_msgs/msg/PoseStamped"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 IMAGE = "sensor_msgs/msg/Image"
@@ -83,7 +84,7 @@ def header(stamp_ns: int, frame_id: str) -> Any:
     """A std_msgs/Header. `stamp_ns` may lie before the epoch."""
     seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
     stamp = _type("builtin_interfaces/msg/Time")(sec=seconds, nanosec=nanoseconds)
-    return _type("std_msgs/msg/Header")(stamp=stamp, frame_id=frame_id)
+    return _type(HEADER)(stamp=stamp, frame_id=frame_id)
 
 
 def pose(stamp_ns: int, frame_id: str, position_m: NDArray[np.float64]) -> Any:

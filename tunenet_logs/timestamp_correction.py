@@ -4,6 +4,9 @@ Late samples are those that were stamped when they arrived, and were held up on 
 with an even clock gives no burst. So a pause, and after it as many samples as it would have held,
 one close upon the other, are what a stalled network or a busy machine makes of an even clock: no
 sample was lost, and each was taken where that clock says.
+
+A camera that lost sight of a thing now and then leaves pauses as well, but its stamps stay on the
+grid of its frames. A burst does not.
 """
 
 from __future__ import annotations
@@ -34,6 +37,21 @@ _PATIENCE_SAMPLES = 3
 
 _MIN_SAMPLES = 10
 """Fewer do not tell an even clock's period."""
+
+_SINGLE_FRACTION = 0.1
+"""Of the steps: at least so many go to the very next point of a grid that has points left out."""
+
+_MOST_MEDIAN_FRAMES = 3
+"""Of the median step on a grid: with more, what looks like its frames is how stamps are rounded."""
+
+_NEAR_PERIODS = 8
+"""Longer steps tell nothing of a grid: the error of its period adds up."""
+
+_ROUNDING_NS = 1_100
+"""Of a step between two stamps of whole microseconds, or of ..."""
+
+_ROUNDING_FRACTION = 1e-3
+"""... a frame."""
 
 
 def trusts_header(header_ns: NDArray[np.int64]) -> tuple[bool, list[str]]:
@@ -137,7 +155,8 @@ def correct_late_stamps(stamps_ns: NDArray[np.int64]) -> CorrectedStamps:
     """Puts samples that arrived in a burst after a pause back on the even clock before the pause.
 
     The clock's period is the median step. A burst that does not make up for its pause is left as
-    it is: then samples were lost, and nothing tells which.
+    it is: then samples were lost, and nothing tells which. So are stamps on an exact grid of which
+    points are left out: no burst hits it.
 
     Args:
         stamps_ns: not decreasing, shape (T,) [ns].
@@ -146,6 +165,8 @@ def correct_late_stamps(stamps_ns: NDArray[np.int64]) -> CorrectedStamps:
         return CorrectedStamps(stamps_ns, stamps_ns)
     steps = np.diff(stamps_ns).astype(np.float64)
     period = float(np.median(steps))
+    if _is_grid(steps, period):
+        return CorrectedStamps(stamps_ns, stamps_ns)
     corrected, after = stamps_ns.copy(), 0
     for pause in np.flatnonzero(steps > _PAUSE_PERIODS * period):
         end = _caught_up(steps, int(pause), period)
@@ -156,6 +177,25 @@ def correct_late_stamps(stamps_ns: NDArray[np.int64]) -> CorrectedStamps:
         corrected[inside] = np.minimum(even, stamps_ns[inside])
         after = end
     return CorrectedStamps(stamps_ns, corrected)
+
+
+def _is_grid(steps: NDArray[np.float64], period: float) -> bool:
+    """Whether all stamps lie on the points of one grid, but for rounding.
+
+    Args:
+        steps: between T samples, shape (T - 1,) [ns].
+        period: the usual step [ns].
+    """
+    frame = float(np.quantile(steps, _SINGLE_FRACTION, method="lower"))
+    if frame <= 0 or period > (_MOST_MEDIAN_FRAMES + 0.5) * frame:
+        return False
+    near = steps[steps < _NEAR_PERIODS * period]
+    counts = np.round(near / frame)
+    if counts.min() < 1:
+        return False
+    frame = float(near.sum() / counts.sum())
+    error = float(np.abs(near - counts * frame).max())
+    return error <= max(_ROUNDING_NS, _ROUNDING_FRACTION * frame)
 
 
 def _caught_up(steps: NDArray[np.float64], pause: int, period: float) -> int | None:

@@ -9,7 +9,8 @@ from typing import Literal
 
 from analysis.campaign.small_film import SmallFilm
 from analysis.checks import Verdict
-from analysis.record import Curves, Estimate, Record
+from analysis.motion import Curves
+from analysis.record import Estimate, Record
 from analysis.record_json import read_record
 from tunenet_logs.errors import LogError
 

@@ -19,7 +19,14 @@ from analysis.cli.options import (
     preset_option,
 )
 from analysis.registry import METHODS, kinds
-from tunenet_logs.commandline import Parser, number, run, whole
+from tunenet_logs.commandline import (
+    Parser,
+    number,
+    read_options_of,
+    reading_options,
+    run,
+    whole,
+)
 from tunenet_logs.errors import NotFoundError, UsageError
 from tunenet_logs.terminal import Progress, listed, one_line
 
@@ -29,8 +36,9 @@ if TYPE_CHECKING:
 _DESCRIPTION = """\
 Find the physical parameters that make a simulator move as a log shows: for a
 dropped ball, its coefficient of restitution; for an arm that moves and holds something,
-its mass. Reads videos (.mp4, .mov, ...), tables (.csv) and logs (MCAP, ROS 1 .bag,
-ROS 2 .db3 and bag folders) that hold the ball's position (PoseStamped, Odometry, TF,
+its mass. Reads videos (.mp4, .mov, ...), tables (.csv), exports of motion capture,
+video trackers, sensors and robots, and logs (MCAP, ROS 1 .bag, ROS 2 .db3 and bag
+folders) that hold the ball's position (PoseStamped, Odometry, TF,
 ...), a camera's pictures, or joints with their torques (JointState, Kinova's) under
 any topic, ours or not.
 
@@ -46,6 +54,10 @@ _EXAMPLES = """\
   tunenet-tune phone.mp4 --ball table-tennis       (takes the air's drag into account)
   tunenet-tune phone.mp4 --ball-diameter 0.04 --ball-mass 0.0027
   tunenet-tune mocap.mcap --topic /vrpn/ball/pose --start 3.5 --end 8
+  tunenet-tune Take_07.csv                         (OptiTrack, Vicon, Qualisys, ...)
+  tunenet-tune ball.csv --columns t=Zeit,z='Hoehe (cm)'
+  tunenet-tune spots.csv --fps 240                 (frames and no times)
+  tunenet-tune claps.csv --columns times=1         (times of impacts alone)
   tunenet-tune drop.mcap --iterations 10 --initial 0.5
   tunenet-tune payload.bag --tare empty.bag        (what a Jaco holds)
   tunenet-tune run.mcap --urdf arm.urdf --tool-link flange
@@ -70,9 +82,16 @@ def build_parser() -> Parser:
     )
     add("--start", type=number(0, 1e9, "s"), metavar="S", help="leave out what comes before [s]")
     add("--end", type=number(0, 1e9, "s"), metavar="S", help="leave out what comes after [s]")
+    add(
+        "--height",
+        type=number(1e-3, 100, "m"),
+        metavar="M",
+        help="of the drop, where a log holds impact times alone [m]",
+    )
     _picture_options(parser.add_argument_group("ball in pictures (found by its flight without)"))
     ball_options(parser.add_argument_group("ball in pictures, where it is known"))
     arm_options(parser.add_argument_group("payload of an arm"))
+    reading_options(parser.add_argument_group("what a file does not say itself"))
     preset_option(parser)
     add(
         "--method",
@@ -190,6 +209,7 @@ def _tune(arguments: argparse.Namespace) -> int:
         known_ball(arguments),
         arguments.tare,
         known_arm(arguments),
+        arguments.height,
     )
     options = Options(
         task=arguments.task,
@@ -201,6 +221,7 @@ def _tune(arguments: argparse.Namespace) -> int:
         selection=_marked(arguments.logs[0], selection, progress)
         if arguments.preview
         else selection,
+        reading=read_options_of(arguments),
     )
     jobs = arguments.jobs or len(os.sched_getaffinity(0))
     results = tune_all(

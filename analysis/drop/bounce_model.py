@@ -40,6 +40,9 @@ METRE_SD, METRE_FREEDOM = 0.0008, 2.0
 """Of the log of a length in the log over the true one: gravity differs by .1 % between most places
 of the earth. Student's t, because some logs' lengths are scaled by hand."""
 
+ANY_SCALE_SD = 0.5
+"""The same where only the fall itself tells the unit."""
+
 BEND_SD = 0.008
 """Of the rate at which contact moves through the picture after an impact, B a fall time: a ball
 that falls 1 m goes sideways by some .1 m/s more or less after each bounce."""
@@ -70,6 +73,8 @@ class BounceSamples:
         positions: along the vertical, up positive, in px of a picture or m of a log, shape (T,).
         noise: standard deviation of a position, at least.
         in_metres: whether the positions are heights, and not of a picture.
+        scale_known: whether heights are in true metres, as far as a log's metres are.
+        flies_in: whether the ball flew before the first sample, too.
         distortion_variance_fraction: of the noise's square, what is no noise but a lens's
             distortion.
         drag_1_m: drag that is known [1/m]; None where it is not.
@@ -82,6 +87,8 @@ class BounceSamples:
     positions: Array
     noise: float
     in_metres: bool = False
+    scale_known: bool = True
+    flies_in: bool = False
     distortion_variance_fraction: float = 0.0
     drag_1_m: float | None = None
     exposure_s: float = 0.0
@@ -111,7 +118,8 @@ class BounceSamples:
         """The ball of these unknowns, shape (8,)."""
         ball = Bounce(float(unknowns[RESTITUTION]), float(unknowns[SLOPE]), float(unknowns[DRAG]))
         unit_m_s = GRAVITY_M_S2 * float(np.exp(unknowns[FALL])) / 2
-        return replace(ball, constant_below=SLOWEST_M_S / (ball.impact_speed * unit_m_s))
+        slowest = SLOWEST_M_S / (ball.impact_speed * unit_m_s)
+        return replace(ball, constant_below=slowest, flies_in=self.flies_in)
 
     def residuals(self, unknowns: Array) -> Array:
         """Positions of the ball in the camera of these unknowns less those seen, shape (T,)."""
@@ -177,7 +185,8 @@ class BounceSamples:
         if self.in_metres:
             off = float(np.log(unknowns[SPAN] / height_m))
             slopes = {SPAN: 1 / float(unknowns[SPAN]), FALL: -2.0}
-            return [*found, Prior(slopes, off, METRE_SD, METRE_FREEDOM)]
+            sd, freedom = (METRE_SD, METRE_FREEDOM) if self.scale_known else (ANY_SCALE_SD, np.inf)
+            return [*found, Prior(slopes, off, sd, freedom)]
         found += [
             Prior({_KNOWN + bend: 1.0}, float(unknowns[_KNOWN + bend]), 1.0)
             for bend in range(len(self.bends_s))

@@ -20,6 +20,9 @@ _HELD_BACK, _OFF = 3.0, 4.0
 """Fall times before the impact from which on a held ball counts; standard deviations from where it
 is let go that it may be off."""
 
+_SHORTLY = 0.35
+"""Fall times: a ball that moved before, and was still for less, was in no hand."""
+
 _AT_IMPACT = 1.5
 """Samples to either side of an impact that a filter rounds."""
 
@@ -40,7 +43,11 @@ def with_held(whole: BounceSamples, fit: BounceFit) -> BounceSamples:
     while held > begin and misses < 3:  # three in a row that are elsewhere: it is not held yet
         held -= 1
         misses = misses + 1 if off[held - begin] > _OFF * fit.scale else 0
+    moved = misses >= 3
     held = min(held + misses, first)
+    still = float(whole.seconds[first] - whole.seconds[held])
+    if whole.in_metres and moved and still < _SHORTLY * fall_s:
+        return fit.samples  # at the top of a flight a ball seems to be held, too
     last = int(np.searchsorted(whole.seconds, fit.samples.seconds[-1], side="right"))
     return fit.samples if first == held else whole.part(held, last)
 

@@ -12,7 +12,7 @@ import numpy as np
 from analysis.checks import Check, figures
 from analysis.drop.free_fall import Drop
 from analysis.estimators.base import Observation
-from analysis.record import SimulationFit
+from analysis.motion import SimulationFit, Units
 from recorders.simulators.contact import CALIBRATED
 from tunenet_logs.arrays import Array
 
@@ -31,8 +31,9 @@ _MOST_GAP = 4.0
 _SURE = 0.02
 """Half width of an interval that still tells one ball from another."""
 
-_LEAST_SEEN = 0.9
-"""Fall times after the impact: less than that may miss the top of the first bounce."""
+_LEAST_SEEN, _LEAST_SEEN_THROWN = 0.9, 0.2
+"""Fall times after the impact: less than that may miss the top of the first bounce, and of a ball
+that a hand catches, what is free."""
 
 _MOST_BELOW, _BELOW_SDS = 0.03, 6
 """Of the drop height, and of the noise's standard deviations, that a sample may lie under the
@@ -60,6 +61,8 @@ def recording_checks(
     sideways_m: Array,
     most_gap_falls: float = 0.0,
     excused_s: Sequence[float] | Array = (),
+    most_sideways: float = 0.0,
+    sunk_m: float = 0.0,
 ) -> list[Check]:
     """What the recording itself tells.
 
@@ -68,10 +71,12 @@ def recording_checks(
         sideways_m: the ball's horizontal positions in the drop's window [m], shape (T, 2).
         most_gap_falls: a gap of so many fall times may be, even where it is many periods.
         excused_s: when a sample is missing that tells nothing of an impact [s].
+        sunk_m: how far below the contact the ball is elsewhere in the recording [m].
+        most_sideways: fraction of the impact's speed at which the ball may go sideways.
     """
     height = drop.drop_height_m
     after = drop.seconds > drop.impact_s
-    below = drop.contact_m - float(drop.heights_m[after].min())
+    below = max(drop.contact_m - float(drop.heights_m[after].min(initial=drop.contact_m)), sunk_m)
     seen = (drop.seconds[-1] - drop.impact_s) / drop.fall_time_s
     drift = float(np.linalg.norm(np.ptp(sideways_m, axis=0)))
     periods = np.diff(drop.seconds)
@@ -80,14 +85,18 @@ def recording_checks(
     gap = longest_s / float(np.median(periods))
     most_gap = max(_MOST_GAP, most_gap_falls * drop.fall_time_s / float(np.median(periods)))
     floor = _MOST_BELOW * height + _BELOW_SDS * drop.noise_m
-    flown, wanted = figures(seen, _LEAST_SEEN, 1)
-    under, most_under = figures(1000 * max(below, 0.0), 1000 * floor, 1)
-    aside, most_aside = figures(1000 * drift, 1000 * _MOST_DRIFT * height, 0)
+    least_seen = _LEAST_SEEN_THROWN if drop.launched else _LEAST_SEEN
+    flown, wanted = figures(seen, least_seen, 1)
+    size, unit = _length(drop)
+    under, most_under = figures(size * max(below, 0.0), size * floor, 1)
+    lasts_s = float(drop.seconds[-1] - drop.seconds[0])
+    most_m = max(_MOST_DRIFT * height, most_sideways * drop.impact_speed_m_s * lasts_s)
+    aside, most_aside = figures(size * drift, size * most_m, 0)
     longest, too_long = figures(gap, most_gap, 1)
     return [
         Check(
             "first flight seen",
-            seen > _LEAST_SEEN,
+            seen > least_seen,
             f"{flown} fall times (wanted: {wanted} or more)",
             advice="record until the ball lies still",
             doubts_model=False,
@@ -95,13 +104,13 @@ def recording_checks(
         Check(
             "stays on the table",
             below < floor,
-            f"{under} mm below contact (at most {most_under})",
+            f"{under} {unit} below contact (at most {most_under})",
             advice="drop onto the middle of a large, level surface",
         ),
         Check(
             "falls straight",
-            drift < _MOST_DRIFT * height,
-            f"{aside} mm sideways (at most {most_aside})",
+            drift < most_m,
+            f"{aside} {unit} sideways (at most {most_aside})",
             advice="let go without a push, over a level surface",
         ),
         Check(
@@ -114,25 +123,37 @@ def recording_checks(
     ]
 
 
-def fall_checks(drop: Drop, restitution: float) -> list[Check]:
+def _length(drop: Drop) -> tuple[float, str]:
+    """How many of a unit are in one of a drop's metres, which are none where nothing tells them."""
+    if drop.scale_known:
+        return 1000.0, "mm"
+    return 100 / drop.drop_height_m, "% of the drop height"
+
+
+def fall_checks(drop: Drop, restitution: float, units: Units) -> list[Check]:
     """Whether it falls and flies as free bodies do, so that the restitution is the ball's own."""
-    checks = [
-        Check(
-            "gravity",
-            abs(drop.gravity_m_s2 / CALIBRATED.gravity_m_s2 - 1) < _WITHIN_GRAVITY,
-            f"falls with {drop.gravity_m_s2:.2f} m/s² (wanted: {CALIBRATED.gravity_m_s2:.2f} "
-            f"within {100 * _WITHIN_GRAVITY:.0f} %)",
-            advice="record lengths in m and the true times",
+    checks: list[Check] = []
+    if units.doubt:
+        checks.append(Check("gravity", False, units.doubt, advice=units.remedy, doubts_model=False))
+    elif units.tell_speed:
+        checks.append(
+            Check(
+                "gravity",
+                abs(drop.gravity_m_s2 / CALIBRATED.gravity_m_s2 - 1) < _WITHIN_GRAVITY,
+                f"falls with {drop.gravity_m_s2:.2f} m/s² (wanted: {CALIBRATED.gravity_m_s2:.2f} "
+                f"within {100 * _WITHIN_GRAVITY:.0f} %)",
+                advice="record lengths in m and the true times",
+            )
         )
-    ]
     if not np.isnan(drop.rest_m):
         off = abs(drop.rest_m - drop.contact_m)
-        apart, most_apart = figures(1000 * off, 1000 * drop.rest_tolerance_m, 1)
+        size, unit = _length(drop)
+        apart, most_apart = figures(size * off, size * drop.rest_tolerance_m, 1)
         checks.append(
             Check(
                 "rests where it hit",
                 off < drop.rest_tolerance_m,
-                f"{apart} mm between impact and rest (at most {most_apart})",
+                f"{apart} {unit} between impact and rest (at most {most_apart})",
                 advice="let it come to rest by itself, on a hard and level surface",
             )
         )

@@ -11,28 +11,23 @@ import numpy as np
 from analysis.drop import observations as views
 from analysis.drop.bounce_fit import BounceFit, fit_bounce
 from analysis.drop.bounce_model import BounceSamples
-from analysis.drop.bounce_posterior import BallPosterior, ball_posterior
+from analysis.drop.bounce_posterior import BallPosterior
 from analysis.drop.bounce_samples import FEWEST_SAMPLES
 from analysis.drop.film import FilmedDrop, canonical_film, find_filmed_drop, image_rows
 from analysis.drop.free_fall import Drop
+from analysis.drop.local_rebound import drop_posterior
 from analysis.drop.positions_fit import fit_positions, fitted_drop, samples_of
-from analysis.drop.rebounds import fitted_rebounds
-from analysis.estimators.base import FitResult, Observation, Problem
+from analysis.drop.rebounds import first_rebound, fitted_rebounds
+from analysis.estimators.base import Observation
+from analysis.motion import Units
+from analysis.record import Rebound
 from analysis.tracking.track import Track
 from recorders.simulators.balls import Ball
-from recorders.simulators.contact import CALIBRATED, PAPER, ContactSettings
-from recorders.simulators.drop import DropRig, DropSimulator
 from tunenet_logs.arrays import Array
-from tunenet_logs.errors import NotFoundError, UsageError
-
-HIGHEST_M = 100.0
-"""Of a drop: from higher up lengths are more likely in mm or cm than in m."""
+from tunenet_logs.errors import NotFoundError
 
 DISAGREEMENT = "let go without spin, over a hard and level surface, and compare"
 """What to do where a cross-check of a drop disagrees."""
-
-_HIGHEST_SIMULATED_M = 1000.0
-"""Of a drop in the log's unit of length."""
 
 _SLOW_M = 6.0
 """A fall this high by the clock was more likely filmed in slow motion."""
@@ -59,6 +54,9 @@ class DropDetection:
         sideways_m: horizontal positions in the drop's window [m], shape (T, any).
         ball: what was dropped, as far as it is known.
         warnings: what a user should know, in words.
+        units: of the log.
+        others: bounces of the recording that do not follow freely, for a ball that was thrown.
+        sunk_m: how far below where it bounced a thrown ball ever is in the recording [m].
     """
 
     physical: bool
@@ -69,13 +67,20 @@ class DropDetection:
     sideways_m: Array
     ball: Ball
     warnings: tuple[str, ...]
+    units: Units
+    others: tuple[Drop, ...] = ()
+    sunk_m: float = 0.0
     film: None = None
+
+    @property
+    def tells_speed(self) -> bool:
+        """Whether metres and seconds are known."""
+        return self.units.tell_speed
 
     @cached_property
     def posterior(self) -> BallPosterior | None:
         """What the samples say of the ball; None where they are too few for a fit."""
-        fit = fit_positions(self.found, self.ball.drag_1_m)
-        return None if fit is None else ball_posterior(fit)
+        return drop_posterior(self.found, self.ball.drag_1_m)
 
     @cached_property
     def drop(self) -> Drop:
@@ -98,6 +103,20 @@ class DropDetection:
             raise NotFoundError(TOO_SHORT)
         return target
 
+    @cached_property
+    def rebounds(self) -> tuple[Rebound, ...]:
+        """Each impact by itself, those of other bounces in the recording too, in order."""
+        assert self.posterior is not None
+        found = [*fitted_rebounds(self.posterior)]
+        if self.found.launched:
+            found = [*(found or [first_rebound(self.posterior)])]
+            for drop in self.others:
+                told = drop_posterior(drop, self.ball.drag_1_m)
+                found += () if told is None else fitted_rebounds(told) or [first_rebound(told)]
+        if not self.tells_speed:
+            found = [replace(one, impact_speed_m_s=None) for one in found]
+        return tuple(sorted(found, key=lambda one: one.impact_s))
+
     @property
     def observed(self) -> BounceSamples:
         """All samples of the drop, in m."""
@@ -119,7 +138,11 @@ class DropDetection:
 
     @property
     def extent(self) -> tuple[str, str]:
-        """How high the ball fell from."""
+        """How high the ball fell from, or how fast it hit."""
+        if not self.tells_speed:
+            return "drop", "height not told"
+        if self.found.launched:
+            return "impact", f"{self.drop.impact_speed_m_s:.2f} m/s"
         return "drop", f"{self.drop.drop_height_m:.3f} m"
 
 
@@ -143,6 +166,7 @@ class FilmDetection:
         taken_ns: when a picture was taken, by its stamp, for those that are stamped later.
         track_warnings: what a user should know of pictures and track, in words.
         outliers: none: what is not the ball was not tracked.
+        is_timed: whether the stamps are times; where they count pictures there is no scale at all.
     """
 
     physical: bool
@@ -155,6 +179,21 @@ class FilmDetection:
     taken_ns: Mapping[int, int] = field(default_factory=dict)
     track_warnings: tuple[str, ...] = ()
     outliers: int = 0
+    is_timed: bool = True
+
+    @property
+    def units(self) -> Units:
+        """A picture tells none of length; its clock is the scale, where it has one."""
+        if not self.is_timed:
+            return Units(None, None, None, None)
+        steps = np.diff(self.track.stamps_ns)
+        rate_hz = 1e9 / float(np.median(steps)) if len(steps) and np.median(steps) > 0 else None
+        return Units(None, None, rate_hz, "clock")
+
+    @property
+    def tells_speed(self) -> bool:
+        """Whether metres and seconds are known; the clock is the scale."""
+        return self.is_timed
 
     @cached_property
     def film(self) -> FilmedDrop:
@@ -163,7 +202,16 @@ class FilmDetection:
         Raises:
             NotFoundError: the track shows no drop.
         """
-        return find_filmed_drop(self.track, self.start_ns, self.ball)
+        ball = self.ball if self.is_timed else None  # its drag is one per metre
+        return find_filmed_drop(self.track, self.start_ns, ball)
+
+    @property
+    def rebounds(self) -> tuple[Rebound, ...]:
+        """Each impact by itself."""
+        found = fitted_rebounds(self.posterior)
+        if self.is_timed:
+            return found
+        return tuple(replace(one, impact_speed_m_s=None) for one in found)
 
     @property
     def drop(self) -> Drop:
@@ -203,6 +251,8 @@ class FilmDetection:
     @property
     def extent(self) -> tuple[str, str]:
         """How high the ball fell from."""
+        if not self.is_timed:
+            return "drop", "height not told"
         return "drop", f"{self.drop.drop_height_m:.3f} m"
 
     @property
@@ -244,7 +294,7 @@ class FilmDetection:
             found.append(
                 f"more drops seem to follow, at {at}; the first is used (see --start, --end)"
             )
-        if height_m >= _SLOW_M:
+        if self.is_timed and height_m >= _SLOW_M:
             found.append(
                 f"falls {height_m:.1f} m by the clock: slow motion? the restitution is the same; "
                 "for true heights and speeds record it with tunenet-record --camera FILE --fps RATE"
@@ -253,71 +303,3 @@ class FilmDetection:
 
 
 AnyDetection = DropDetection | FilmDetection
-
-
-def drop_problem(detection: AnyDetection, initial: Array) -> Problem:
-    """A simulator with the drop's own height, stamps and release.
-
-    Args:
-        detection: the drop.
-        initial: restitution, slope and drag [1/m], or the first of these, shape (P,).
-
-    Raises:
-        NotFoundError: the track shows no drop, or the simulator cannot be set up like it.
-        UsageError: the initial value is out of bounds.
-    """
-    try:
-        if detection.drop.drop_height_m > _HIGHEST_SIMULATED_M:
-            raise UsageError("it is too high")
-        rig, contact = rig_like(detection)
-    except UsageError as error:  # the user chose nothing here: the log asks for it
-        height_m = detection.drop.drop_height_m
-        unit = f"the ball falls {height_m:.4g} m; are the lengths in mm or cm? give them in m"
-        why = unit if height_m >= HIGHEST_M else error
-        raise NotFoundError(f"this drop cannot be simulated: {why}") from error
-    simulator = DropSimulator(rig, contact)
-    if contact == PAPER:
-        view = views.paper_rollout if detection.film is None else views.paper_unit_heights
-        return Problem(detection.target, simulator, view, initial)
-
-    def exact_fit(start: Array) -> FitResult | None:
-        """The ball that explains all samples best; more values than `start` has are left away."""
-        posterior = detection.posterior
-        if posterior is None:
-            return None
-        count = len(start)
-        rebounds = fitted_rebounds(posterior)
-        return FitResult(posterior.values[:count], posterior.interval95[:count], detail=rebounds)
-
-    return Problem(
-        detection.target,
-        simulator,
-        lambda episode: views.canonical(views.rollout_drop(episode, rig, contact)),
-        initial,
-        exact_fit,
-        np.array([1.0, 1.0, 1 / rig.gap_m])[: len(initial)],
-    )
-
-
-def rig_like(detection: AnyDetection) -> tuple[DropRig, ContactSettings]:
-    """The rig whose rollouts show the same drop at the same stamps."""
-    drop, start_ns = detection.drop, detection.start_ns
-    if not detection.physical:
-        gap = drop.release_m - drop.table_m
-        start_ns += round(1e9 * views.paper_start_s(drop))
-        return DropRig(gap, views.PAPER_RADIUS_M, views.PAPER_RATE_HZ, start_ns=start_ns), PAPER
-    period_s = float(np.median(np.diff(drop.seconds)))
-    seconds = detection.observed.seconds
-    wanted_s = drop.impact_s + (views.CANONICAL_SPAN + 1) * drop.fall_time_s
-    missing = max(0, int(np.ceil((wanted_s - seconds[-1]) / period_s)))
-    seconds = np.concatenate([seconds, seconds[-1] + period_s * np.arange(1, missing + 1)])
-    first_s = min(float(seconds[0]), drop.release_s)
-    rig = DropRig(
-        gap_m=CALIBRATED.gravity_m_s2 * drop.fall_time_s**2 / 2,
-        rate_hz=1 / period_s,
-        samples=len(seconds),
-        hold_s=drop.release_s - first_s,
-        start_ns=start_ns + round(1e9 * first_s),
-        times_s=tuple((seconds - first_s).tolist()),
-    )
-    return rig, CALIBRATED

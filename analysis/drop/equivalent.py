@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from analysis.drop.projection import Projection
-from analysis.record import Equivalent, Equivalents
+from analysis.motion import Equivalent, Equivalents
 from recorders.simulators.base import GRAVITY_M_S2
 from recorders.simulators.closed_form.bounce import Bounce
 from tunenet_logs.arrays import Array

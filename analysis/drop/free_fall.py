@@ -76,6 +76,11 @@ class Drop(Impact):
         rest_s: when the ball begins to rest [s]; NaN where it is not seen to.
         rest_m: height where the ball comes to rest [m]; NaN where it is not seen to.
         rest_tolerance_m: how far from the contact that may be on one table [m].
+        launched: whether the ball already flew at the first sample: it was thrown, or bounced
+            before. Its release is then that sample.
+        is_free: whether fall or flight have about the gravity of the earth.
+        scale_known: whether the heights are in true metres.
+        touching: how many samples were left out because the ball was on the ground in them.
     """
 
     first: int
@@ -90,6 +95,10 @@ class Drop(Impact):
     rest_s: float
     rest_m: float
     rest_tolerance_m: float
+    launched: bool = False
+    is_free: bool = True
+    scale_known: bool = True
+    touching: int = 0
 
     @property
     def table_m(self) -> float:
@@ -138,7 +147,7 @@ def find_drops(seconds: Array, heights_m: Array) -> list[Drop]:
             drops.append(drop)
             end = drop_end
         else:  # a hand may lower a ball along a parabola too
-            odd.append(drop)
+            odd.append(replace(drop, is_free=False))
     if not drops and not odd:
         raise NotFoundError(reasons[0] if reasons else "no fall ends in an impact")
     return drops or odd[:1]

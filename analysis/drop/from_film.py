@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING
 from analysis.checks import Check, CrossCheck
 from analysis.drop.checks import motion_checks, recording_checks, sure_check
 from analysis.drop.cross_checks import flight_cross_check
-from analysis.drop.detection import FilmDetection, drop_problem
+from analysis.drop.detection import FilmDetection
 from analysis.drop.film_checks import film_checks, hop_check, scale_checks, seconds_out_of_view
 from analysis.drop.film_presets import PRESETS
 from analysis.drop.motion import simulation_fit, tuned_motion
 from analysis.drop.presets import PAPER_HEIGHT_M
+from analysis.drop.problem import drop_problem
 from analysis.drop.rebounds import reported_rebounds
 from analysis.estimators.base import FitResult, Step
 from analysis.experiment import Claim
@@ -98,7 +99,8 @@ class DropFromFilm:
             *film_checks(film),
             *recording_checks(part, sideways_m, _MOST_GAP_FALLS, excused_s),
         ]
-        checks += scale_checks(film, detection.ball.diameter_m, detection.height_m)
+        if detection.is_timed:
+            checks += scale_checks(film, detection.ball.diameter_m, detection.height_m)
         if not detection.physical:  # z and y are not to be compared
             return (*checks, _paper_check(drop.drop_height_m))
         value = float(last.values[0])
@@ -157,6 +159,7 @@ def _detect_in(
         unread=unread,
         taken_ns=pictures.arrivals.taken_ns,
         track_warnings=tuple(warnings),
+        is_timed=not episode.frames_untimed,
     )
 
 

@@ -5,9 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
 from analysis.checks import Check, CrossCheck
 from analysis.drop import observations as views
 from analysis.drop.checks import (
@@ -19,15 +16,17 @@ from analysis.drop.checks import (
     sure_check,
 )
 from analysis.drop.cross_checks import flight_cross_check
-from analysis.drop.detection import DropDetection, drop_problem
-from analysis.drop.free_fall import Drop, find_drops, outliers
+from analysis.drop.detection import DropDetection
+from analysis.drop.free_fall import Drop
 from analysis.drop.motion import simulation_fit, tuned_motion
 from analysis.drop.presets import PAPER_HEIGHT_M, PRESETS
+from analysis.drop.problem import drop_problem
 from analysis.drop.rebounds import reported_rebounds
+from analysis.drop.track_search import PositionTrack, is_something_else, moves_as_found
 from analysis.estimators.base import FitResult, Step
 from analysis.experiment import Claim
 from analysis.selection import Selection, check_start
-from recorders.simulators.balls import Ball, completed, recorded_ball
+from recorders.simulators.balls import completed, recorded_ball
 from recorders.simulators.drop import TOPIC
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, Signal
@@ -41,17 +40,16 @@ if TYPE_CHECKING:
 
     from analysis.record import Tuning
 
-_AXES = {"+z": (2, 1), "-z": (2, -1), "+y": (1, 1), "-y": (1, -1), "+x": (0, 1), "-x": (0, -1)}
-"""Column and sign of what may be up, the likeliest first."""
-
-_POSITION = ("x", "y", "z")
-
 _PAPER_FIT, _NOISE_SHARE = 0.03, 1.2
 """Rms [drop heights] that the paper's 60 Hz simulator may be off, and how much of the noise adds
 to it: what white noise alone hardly exceeds."""
 
-_FARTHEST_M = 1e6
-"""A coordinate beyond it is a marker for "none"."""
+
+_MOST_TOUCH_FALLS = 0.13
+"""Fall times for which a thrown ball is on the ground: no sample of it is used there."""
+
+_MOST_SIDEWAYS = 0.5
+"""Of the impact's speed: a ball that rolls off an edge goes sideways by some of it."""
 
 
 class DropFromPositions:
@@ -68,7 +66,7 @@ class DropFromPositions:
     def claim(self, episode: Episode, topic: str | None) -> Claim:
         """By its positions: a tree of frames is in every robot's log; see `Experiment.claim`."""
         signals = episode.signals.values() if topic is None else episode.signals_of(topic)
-        positions = [signal.name for signal in signals if _is_position(signal)]
+        positions = [signal.name for signal in signals if signal.is_position]
         if not positions:
             return Claim.NONE
         frames = all(name.startswith("/tf") and "ball" not in name for name in positions)
@@ -87,18 +85,20 @@ class DropFromPositions:
             )
             named = ", ".join(selection.film_options)
             unused.append(f"{named} not used: the log holds the ball's position ({there})")
+        found: DropDetection | None = None
         for signal in _candidates(episode, selection):
             try:
-                check_start(selection.start_s, float(signal.seconds[-1]))
-                arrivals = correct_late_stamps(signal.stamps_ns)
-                even = replace(signal, stamps_ns=arrivals.stamps_ns)
-                ball = completed(selection.ball, recorded_ball(episode.info))
-                detection = _detect_in(even, int(signal.stamps_ns[0]), selection, preset, ball)
-                late = arrivals.warnings("samples")
-                return replace(detection, warnings=(*detection.warnings, *late, *unused))
+                track_found = _detect_in(episode, signal, selection, preset)
             except NotFoundError as reason:
                 reasons.append(f"{signal.name}: {reason}")
-        raise NotFoundError("; ".join((reasons[0], *unused)))
+                continue
+            found = found or track_found
+            if moves_as_found(track_found):
+                found = track_found
+                break
+        if found is None or (reasons and is_something_else(found)):
+            raise NotFoundError("; ".join((_why_none(episode, reasons), *unused)))
+        return replace(found, warnings=(*found.warnings, *unused))
 
     def checks(
         self, detection: DropDetection, last: Step, fit: FitResult | None
@@ -106,13 +106,19 @@ class DropFromPositions:
         """See `Experiment.checks`."""
         assert last.evaluation is not None
         drop = detection.drop
-        checks = recording_checks(drop, detection.sideways_m)
+        checks = recording_checks(
+            drop,
+            detection.sideways_m,
+            _MOST_TOUCH_FALLS if drop.launched else 0.0,
+            most_sideways=_MOST_SIDEWAYS,
+            sunk_m=detection.sunk_m,
+        )
         if not detection.physical:  # the paper's simulator has a drag of its own
             most = _PAPER_FIT + _NOISE_SHARE * drop.noise_m / drop.drop_height_m
             simulated = last.evaluation.observation
             return (*checks, fit_check(simulated, detection.target, drop.drop_height_m, most))
         value = float(last.values[0])
-        checks += fall_checks(drop, value)
+        checks += fall_checks(drop, value, detection.units)
         checks.append(sure_check(*fit.interval95[0]) if fit else rebound_check(drop, value))
         return (*checks, *motion_checks(simulation_fit(detection, last)))
 
@@ -132,13 +138,13 @@ class DropFromPositions:
 def _candidates(episode: Episode, selection: Selection) -> list[Signal]:
     """Position signals in the order in which to try them."""
     if selection.topic is not None:
-        positions = [one for one in episode.signals_of(selection.topic) if _is_position(one)]
+        positions = [one for one in episode.signals_of(selection.topic) if one.is_position]
         if not positions:
-            usable = {name for name, one in episode.signals.items() if _is_position(one)}
+            usable = {name for name, one in episode.signals.items() if one.is_position}
             known = listed(sorted({*usable, *episode.picture_topics})) or "none"
             raise NotFoundError(f"no usable topic {selection.topic}; there is: {known}")
     else:
-        positions = [one for one in episode.signals.values() if _is_position(one)]
+        positions = [one for one in episode.signals.values() if one.is_position]
     if not positions:
         seen = listed(f"{one.topic} ({one.type_name or 'no type'})" for one in episode.channels)
         raise NotFoundError(
@@ -147,71 +153,42 @@ def _candidates(episode: Episode, selection: Selection) -> list[Signal]:
     return sorted(positions, key=lambda one: (one.name != TOPIC, "ball" not in one.name, one.name))
 
 
-def _is_position(signal: Signal) -> bool:
-    return signal.columns == _POSITION and signal.unit == "m"
-
-
 def _detect_in(
-    signal: Signal, start_ns: int, selection: Selection, preset: str, ball: Ball
+    episode: Episode, signal: Signal, selection: Selection, preset: str
 ) -> DropDetection:
-    """The first drop in the selected part, without the samples that hold no position."""
-    seconds = signal.seconds
-    keep: NDArray[np.bool_] = np.all(np.abs(signal.values) < _FARTHEST_M, axis=1)  # NaN is not
-    if selection.start_s is not None:
-        keep &= seconds >= selection.start_s
-    if selection.end_s is not None:
-        keep &= seconds <= selection.end_s
-    signal = replace(signal, stamps_ns=signal.stamps_ns[keep], values=signal.values[keep])
-    if not len(signal.stamps_ns):
-        raise NotFoundError("no sample with a position (in the part that was selected)")
-    up, kept, drops = _vertical_drops(signal, start_ns)
-    column, _ = _AXES[up]
-    drop = drops[0]
-    window = slice(drop.first, drop.first + len(drop.seconds))
-    warnings = [] if up == "+z" else [f"up is {up} in {signal.name}"]
-    if len(drops) > 1:
-        spans = ", ".join(f"{one.seconds[0]:.2f} to {one.seconds[-1]:.2f} s" for one in drops)
-        warnings.append(f"{len(drops)} drops ({spans}); the first is used (see --start, --end)")
-    if not PRESETS[preset].physical:
-        warnings += _paper_warnings(drop)
-    return DropDetection(
-        physical=PRESETS[preset].physical,
-        topic=signal.name,
-        start_ns=start_ns,
-        found=drop,
-        outliers=_between(signal, drop, start_ns) - len(drop.seconds),
-        sideways_m=np.delete(kept.values, column, axis=1)[window],
-        ball=ball,
-        warnings=tuple(warnings),
-    )
+    """The drop in one track, with its stamps as they were taken."""
+    check_start(selection.start_s, float(signal.seconds[-1]))
+    arrivals = correct_late_stamps(signal.stamps_ns)
+    even = replace(signal, stamps_ns=arrivals.stamps_ns)
+    ball = completed(selection.ball, recorded_ball(episode.info))
+    track = PositionTrack(even, int(signal.stamps_ns[0]), PRESETS[preset].physical, ball)
+    found = track.part(selection.start_s, selection.end_s).detect()
+    papers = () if found.physical else _paper_warnings(found.found)
+    late = arrivals.warnings("samples")
+    return replace(found, warnings=(*found.warnings, *_spread(found), *papers, *late))
 
 
-def _vertical_drops(signal: Signal, start_ns: int) -> tuple[str, Signal, list[Drop]]:
-    """Which way is up (+z if in doubt), the signal without outliers, and the drops along it."""
-    low, high = np.quantile(signal.values, (0.001, 0.999), axis=0)
-    first_reason: NotFoundError | None = None
-    for up, (column, sign) in _AXES.items():
-        if (high - low)[column] < 0.5 * (high - low).max():
-            continue
-        seconds = (signal.stamps_ns - start_ns).astype(np.float64) * 1e-9
-        keep = np.logical_not(outliers(seconds, signal.values[:, column]))
-        kept = replace(signal, stamps_ns=signal.stamps_ns[keep], values=signal.values[keep])
-        seconds = (kept.stamps_ns - start_ns).astype(np.float64) * 1e-9
-        try:
-            return up, kept, find_drops(seconds, sign * kept.values[:, column])
-        except NotFoundError as reason:
-            first_reason = first_reason or reason
-    raise first_reason or NotFoundError("the ball does not move")
+def _spread(found: DropDetection) -> list[str]:
+    """How much the bounces of a ball that was thrown again and again differ."""
+    if not found.others or found.posterior is None:
+        return []
+    values = [one.restitution for one in found.rebounds]
+    speeds = [one.impact_speed_m_s for one in found.rebounds if one.impact_speed_m_s is not None]
+    fast = f" at {min(speeds):.1f} to {max(speeds):.1f} m/s" if speeds else ""
+    told = f"{len(values)} bounces, {min(values):.3f} to {max(values):.3f}{fast}"
+    return [f"{told}; the one at {found.drop.impact_s:.2f} s is the result (see --start)"]
 
 
-def _between(signal: Signal, drop: Drop, start_ns: int) -> int:
-    """How many samples a drop would have with those that were left out."""
-    seconds = (signal.stamps_ns - start_ns).astype(np.float64) * 1e-9
-    first_s, last_s = drop.seconds[[0, -1]]
-    return int(np.count_nonzero((seconds >= first_s) & (seconds <= last_s)))
+def _why_none(episode: Episode, reasons: list[str]) -> str:
+    """That none of the tracks is a ball's that bounces, and what the file is."""
+    if len(reasons) == 1:
+        return reasons[0]
+    tracks = f"none of {len(reasons)} tracks falls freely and bounces ({reasons[0]})"
+    return f"{episode.info.source}: {tracks}" if episode.info.source else tracks
 
 
 def _paper_warnings(drop: Drop) -> list[str]:
+    """What a user of the paper's networks should know of a drop."""
     height = drop.release_m - drop.table_m + views.PAPER_RADIUS_M
     low, high = PAPER_HEIGHT_M
     if low - 0.1 <= height <= high + 0.1:

@@ -19,8 +19,17 @@ from analysis.drop.equivalent import equivalents
 from analysis.drop.projection import Projection
 from analysis.drop.untold import SLOPE_AND_DRAG, untold
 from analysis.estimators.base import Step, Trace
-from analysis.record import MOST_SAMPLES, Curves, Equivalents, Motion, SimulationFit, excess
+from analysis.motion import (
+    MOST_SAMPLES,
+    Curves,
+    Equivalents,
+    Motion,
+    SimulationFit,
+    excess,
+)
 from analysis.statistics import surer_noise_of
+from recorders.simulators.contact import CALIBRATED
+from recorders.simulators.drop import DRAG
 from tunenet_logs.arrays import Array
 
 _AFTER_FALLS = 1.0
@@ -65,8 +74,11 @@ def simulated(detection: AnyDetection, step: Step) -> tuple[Array, Array]:
     signal = next(iter(episode.signals.values()))
     seconds = (signal.stamps_ns - detection.start_ns).astype(np.float64) * 1e-9
     rig = episode.info.rig
-    heights = (signal.values[:, 2] - rig["ball_diameter_m"] / 2) / rig["drop_height_m"]
-    return seconds, heights
+    heights_m = signal.values[:, 2] - rig["ball_diameter_m"] / 2
+    unit_m = rig["drop_height_m"]
+    if detection.physical:
+        unit_m = CALIBRATED.gravity_m_s2 * detection.drop.fall_time_s**2 / 2
+    return seconds, heights_m / unit_m
 
 
 def simulated_m(detection: AnyDetection, step: Step) -> tuple[Array, Array]:
@@ -93,6 +105,7 @@ def simulation_fit(detection: AnyDetection, last: Step) -> SimulationFit | None:
     off = view.positions(heights[inside], seconds[inside]) - positions[inside]
     off = np.maximum(np.abs(off) - _blurred(samples, view, seconds[inside]), 0.0) / view.span
     kept = _of_the_ball(off, noise / view.span)
+    is_film = detection.film is not None
     return SimulationFit(
         rms_percent=100 * float(np.sqrt(np.mean(off[kept] ** 2))),
         worst_percent=100 * float(off[kept].max()),
@@ -100,9 +113,24 @@ def simulation_fit(detection: AnyDetection, last: Step) -> SimulationFit | None:
         held_out_percent=held_out_percent(detection),
         samples=int(np.count_nonzero(kept)),
         left_out=int(np.count_nonzero(~kept)) + detection.outliers,
-        noise=noise,
-        unit="m" if detection.film is None else "px",
+        noise=noise if is_film or tells_speed(detection) else noise / view.span,
+        unit="px" if is_film else "m" if tells_speed(detection) else "1",
     )
+
+
+def fit_excess_percent(detection: AnyDetection) -> float | None:
+    """How far the fit, not yet simulated, is from the samples in view, beyond their noise [%]."""
+    view = _view(detection)
+    if view is None or detection.posterior is None:
+        return None
+    samples = detection.observed
+    noise = _noise(samples)
+    seen = samples.only(in_view(detection, samples.seconds, noise / view.span))
+    if len(seen.seconds) < FEWEST_SAMPLES:
+        return None
+    off = np.abs(seen.residuals(detection.posterior.fit.unknowns)) / view.span
+    off = off[_of_the_ball(off, noise / view.span)]
+    return 100 * excess(float(np.sqrt(np.mean(off**2))), noise / view.span)
 
 
 def held_out_percent(detection: AnyDetection) -> float | None:
@@ -145,7 +173,14 @@ def tuned_motion(detection: AnyDetection, trace: Trace) -> Motion:
         fit=simulation_fit(detection, last) if detection.physical else None,
         equivalents=_equivalents(detection),
         untold=_untold(detection, trace),
+        unknown=() if tells_speed(detection) else (DRAG.name,),
+        units=detection.units,
     )
+
+
+def tells_speed(detection: AnyDetection) -> bool:
+    """Whether metres and seconds are known; a film's scale is its clock, where it has one."""
+    return detection.tells_speed
 
 
 def in_view(detection: AnyDetection, seconds: Array, noise: float) -> NDArray[np.bool_]:
@@ -232,6 +267,8 @@ def _curves(detection: AnyDetection, last: Step) -> Curves | None:
         curve_m[at] = rollout_m[rows]
     if np.count_nonzero(np.isfinite(curve_m)) < 2:
         return None
+    if not tells_speed(detection):  # drop heights are all that is known
+        heights_m, curve_m = heights_m / drop.drop_height_m, curve_m / drop.drop_height_m
     return Curves(int(detection.start_ns), seconds, heights_m, curve_m)
 
 
@@ -249,4 +286,8 @@ def _equivalents(detection: AnyDetection) -> Equivalents | None:
         return None
     samples = detection.observed
     seen = samples.only(in_view(detection, samples.seconds, _noise(samples) / view.span))
-    return equivalents(view, seen.seconds, view.heights(seen.positions, seen.seconds))
+    found = equivalents(view, seen.seconds, view.heights(seen.positions, seen.seconds))
+    if found is None or tells_speed(detection):
+        return found
+    first, over_all = (replace(one, speeds_m_s=()) for one in (found.first, found.all))
+    return Equivalents(first, over_all)

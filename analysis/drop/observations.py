@@ -59,11 +59,21 @@ def canonical(drop: Drop) -> Observation:
     return canonical_observation(values)
 
 
-def rollout_drop(episode: Episode, rig: DropRig, contact: ContactSettings) -> Drop:
-    """The drop of a simulated episode, whose rig and release are known exactly."""
+def rollout_drop(
+    episode: Episode, rig: DropRig, contact: ContactSettings, drop_height_m: float | None = None
+) -> Drop:
+    """The drop of a simulated episode, whose rig and release are known exactly.
+
+    Args:
+        episode: the rollout.
+        rig: of it.
+        contact: of it.
+        drop_height_m: what heights are measured by; None for the rig's own, of a ball let go.
+    """
+    height_m = rig.gap_m if drop_height_m is None else drop_height_m
     signal, gravity = episode.signals[TOPIC], contact.gravity_m_s2
     drag_1_m = episode.info.truth.get(DRAG.name, 0.0)  # of a rollout: what it was told
-    impact_s = rig.hold_s + lands_after_s(rig.gap_m, 0.0, gravity, drag_1_m)
+    impact_s = rig.hold_s + lands_after_s(rig.gap_m, rig.speed_m_s, gravity, drag_1_m)
     return Drop(
         first=0,
         seconds=(signal.stamps_ns - rig.start_ns).astype(np.float64) * 1e-9,
@@ -72,7 +82,7 @@ def rollout_drop(episode: Episode, rig: DropRig, contact: ContactSettings) -> Dr
         release_m=rig.radius_m + rig.gap_m,
         impact_s=impact_s,
         contact_m=rig.radius_m,
-        impact_speed_m_s=float(np.sqrt(2 * gravity * rig.gap_m)),
+        impact_speed_m_s=float(np.sqrt(2 * gravity * height_m)),
         flight_restitution=float("nan"),
         flight_restitution_sd=float("nan"),
         gravity_m_s2=gravity,

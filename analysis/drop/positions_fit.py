@@ -60,8 +60,15 @@ _ROUGHLY = (12, 1e-4)
 
 def samples_of(drop: Drop, drag_1_m: float | None) -> BounceSamples:
     """The drop's heights as samples of a bounce; a drag of a known ball [1/m], or None."""
-    noise_m = noise_floor(drop)
-    return BounceSamples(drop.seconds, drop.heights_m, noise_m, in_metres=True, drag_1_m=drag_1_m)
+    return BounceSamples(
+        drop.seconds,
+        drop.heights_m,
+        noise_floor(drop),
+        in_metres=True,
+        scale_known=drop.scale_known,
+        flies_in=drop.launched,
+        drag_1_m=drag_1_m,
+    )
 
 
 def noise_floor(drop: Drop) -> float:
@@ -76,6 +83,8 @@ def fit_positions(drop: Drop, drag_1_m: float | None = None) -> BounceFit | None
         drop: as it was found.
         drag_1_m: of a known ball [1/m].
     """
+    if not (drop.fall_time_s > 0 and drop.drop_height_m > 0):  # NaN is not
+        return None
     whole = samples_of(drop, drag_1_m)
     unknowns = _start(drop)
     same_table = not abs(drop.rest_m - drop.contact_m) > drop.rest_tolerance_m
@@ -107,12 +116,18 @@ def fitted_drop(drop: Drop, fit: BounceFit) -> Drop:
         at_s = drop.seconds[resting]
         ball_m = view.positions(view.bounce.heights(view.fall_times(at_s)), at_s)
         rest_m = view.contact + float(np.median(drop.heights_m[resting] - ball_m))
+    release_s = view.impact_s - view.fall_time_s * view.bounce.fall_time
+    release_m = view.contact + view.span
+    if drop.launched:
+        release_s = float(drop.seconds[0])
+        at_s = drop.seconds[:1]
+        release_m = float(view.positions(view.bounce.heights(view.fall_times(at_s)), at_s)[0])
     return replace(
         drop,
         impact_s=view.impact_s,
         contact_m=view.contact,
-        release_s=view.impact_s - view.fall_time_s * view.bounce.fall_time,
-        release_m=view.contact + view.span,
+        release_s=release_s,
+        release_m=release_m,
         impact_speed_m_s=2 * view.span / view.fall_time_s,
         gravity_m_s2=2 * view.span / view.fall_time_s**2,
         rest_m=rest_m,
@@ -121,7 +136,7 @@ def fitted_drop(drop: Drop, fit: BounceFit) -> Drop:
 
 def finished(whole: BounceSamples, fit: BounceFit) -> BounceFit:
     """With the ball in the hand before, without the samples at impacts, to the end."""
-    samples = with_held(whole, fit)
+    samples = fit.samples if whole.flies_in else with_held(whole, fit)
     if samples is not fit.samples:
         held = fit_bounce(samples, fit.unknowns, fit.free)
         if held.tail_sd < 1.5 * max(fit.tail_sd, whole.noise):
@@ -165,7 +180,7 @@ def _window(
         end = starts[rest] + rest_seen
     else:
         end = np.inf
-    return (times > -_FALL_SEEN * ball.fall_time) & (times < end)
+    return (whole.flies_in | (times > -_FALL_SEEN * ball.fall_time)) & (times < end)
 
 
 def _is_explained(fit: BounceFit, before: BounceFit, drop: Drop) -> bool:

@@ -15,7 +15,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.drop.bounce_fit import BounceFit
-from analysis.drop.bounce_model import CONTACT, FALL, IMPACT, METRE_SD, PERSPECTIVE, SPAN
+from analysis.drop.bounce_model import (
+    ANY_SCALE_SD,
+    CONTACT,
+    FALL,
+    IMPACT,
+    METRE_SD,
+    PERSPECTIVE,
+    SPAN,
+)
 from analysis.drop.bounce_posterior import BallPosterior
 from analysis.drop.bounce_samples import MOST_IMPACTS
 from analysis.drop.projection import PERSPECTIVE_SD, projected
@@ -77,7 +85,7 @@ def fitted_rebounds(posterior: BallPosterior) -> tuple[Rebound, ...]:
     # What slope and drag leave open of the first one's restitution, they leave open of each.
     open_sd = float(np.ptp(posterior.interval95[0])) / 2 / TWO_SIDED
     sds = np.hypot(sds, np.sqrt(max(open_sd**2 - sds[0] ** 2, 0.0)))
-    each = Bounce(float(values[0]), law.slope, law.drag, tuple(values))
+    each = replace(law, restitution=float(values[0]), each=tuple(values), constant_below=0.0)
     own_starts, own_speeds = each.flights(float(times[-1]))
     fall_s = float(np.exp(fit.unknowns[FALL]))
     unit_m_s = CALIBRATED.gravity_m_s2 * fall_s / 2
@@ -99,6 +107,15 @@ def fitted_rebounds(posterior: BallPosterior) -> tuple[Rebound, ...]:
     return tuple(found)
 
 
+def first_rebound(posterior: BallPosterior) -> Rebound:
+    """The first impact, whose flight need not be seen to its end."""
+    view = posterior.fit.projection()
+    low, high = posterior.interval95[0].tolist()
+    unit_m_s = CALIBRATED.gravity_m_s2 * view.fall_time_s / 2
+    speed_m_s = view.bounce.impact_speed * unit_m_s
+    return Rebound(view.impact_s, float(posterior.values[0]), (low, high), speed_m_s)
+
+
 def reported_rebounds(detection: AnyDetection, trace: Trace) -> tuple[Rebound, ...]:
     """The impacts that the fit tells apart, else the first, whose restitution is the tuning's."""
     if trace.fit is not None and trace.fit.detail:
@@ -108,7 +125,8 @@ def reported_rebounds(detection: AnyDetection, trace: Trace) -> tuple[Rebound, .
         low, high = trace.fit.interval95[0].tolist()
         ends = low, high
     drop = detection.drop
-    return (Rebound(drop.impact_s, float(trace.estimate[0]), ends, drop.impact_speed_m_s),)
+    speed_m_s = drop.impact_speed_m_s if detection.tells_speed else None
+    return (Rebound(drop.impact_s, float(trace.estimate[0]), ends, speed_m_s),)
 
 
 def _impact_speeds(ball: Bounce, leaving: Array) -> Array:
@@ -134,7 +152,8 @@ def _fitted(fit: BounceFit, law: Bounce, first: Array) -> tuple[Array, Array]:
     steps = np.concatenate([_STEPS, np.full(len(first), 1e-6)])
     free = [0.0, 0.0, 0.0, 0.0, PERSPECTIVE_SD**-2]
     if fit.samples.in_metres:  # this camera is known, and as far as metres are metres its scale
-        free[3:] = [(METRE_SD * camera[3]) ** -2, _FIXED]
+        metre_sd = METRE_SD if fit.samples.scale_known else ANY_SCALE_SD
+        free[3:] = [(metre_sd * camera[3]) ** -2, _FIXED]
     prior = np.concatenate([free, np.full(len(first), _PRIOR_SD**-2)])
     target = np.concatenate([[0.0, 0.0, 0.0, camera[3], 0.0], first])
     covariance = np.eye(len(values))
@@ -143,7 +162,7 @@ def _fitted(fit: BounceFit, law: Bounce, first: Array) -> tuple[Array, Array]:
         trials: list[Array] = []
         for trial in (values, *(values + moves), *(values - moves)):
             impact_s, log_fall, contact, span, perspective = trial[:5]
-            ball = Bounce(law.restitution, law.slope, law.drag, tuple(trial[5:]))
+            ball = replace(law, each=tuple(trial[5:]), constant_below=0.0)
             heights = ball.heights((fit.samples.seconds - impact_s) / np.exp(log_fall))
             positions = contact + span * projected(heights, float(perspective))
             trials.append(positions - seen)

@@ -6,6 +6,7 @@ samples that are new. What else drivers do is undone in `driver_quirks.py`.
 
 from __future__ import annotations
 
+import re
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -22,6 +23,17 @@ from tunenet_logs.terminal import listed
 
 JOINT_UNITS = ("N·m", "rad")
 """Of the two fields that a payload is found from: what has one is of joints, whatever its name."""
+
+_RECORD_REMEDY = (
+    "record the driver's JointState with position and effort, or its joint_torques topic beside it"
+)
+"""What to do where there are no torques."""
+
+_TORQUES = re.compile(r"no torques|no measurement|not a measurement")
+"""In the reason why a channel is not used: it would have been torques."""
+
+_MOST_REASONS = 3
+"""Channels of which a refusal says why they are not used."""
 
 _FEWEST_SAMPLES = 20
 """Of a field: fewer determine neither a motion nor a rate."""
@@ -168,8 +180,8 @@ def _pick(episode: Episode, unit: str, arm: Arm, topic: str | None, what: str) -
     there = [signal for signal in episode.signals.values() if signal.unit == unit]
     if not there:
         raise NotFoundError(
-            f"no {what} in this log (there: {listed(tuple(episode.signals))}): record the driver's "
-            "JointState with position and effort, or its joint_torques topic beside it"
+            f"no {what} in this log (there: {listed(tuple(episode.signals))}): "
+            f"{_left_out(episode, unit) or _RECORD_REMEDY}"
         )
     is_still: dict[str, bool] = {}
     for signal in there:
@@ -187,6 +199,17 @@ def _pick(episode: Episode, unit: str, arm: Arm, topic: str | None, what: str) -
         else:
             return signal
     raise NotFoundError(reasons[0])
+
+
+def _left_out(episode: Episode, unit: str) -> str:
+    """Why the log's torques were not used, where it has some; "" where it has none."""
+    reasons = [
+        f"{channel.topic}: {channel.skipped}"
+        for channel in episode.channels
+        if unit == "N·m" and channel.skipped and _TORQUES.search(channel.skipped)
+    ]
+    reasons.sort(key=lambda reason: "--torque-constants" not in reason)
+    return "; ".join(reasons[:_MOST_REASONS])
 
 
 def _measured(effort: Signal, arm: Arm) -> Signal:

@@ -11,13 +11,14 @@ import numpy as np
 from analysis.checks import Check, CrossCheck
 from analysis.estimators.base import ExtraEstimate, FitResult, Problem, Step, Trace
 from analysis.experiment import Claim, Preset
+from analysis.motion import Motion
 from analysis.payload.arm_log import read_arm_log
 from analysis.payload.arm_motion import arm_motion
 from analysis.payload.checks import arm_checks, payload_checks, simulation_check, sure_check
 from analysis.payload.detection import EFFORT, PayloadDetection, read_tare
 from analysis.payload.presets import PRESETS
 from analysis.payload.torque_fit import secant
-from analysis.record import Motion, Rebound
+from analysis.record import Rebound
 from analysis.selection import Selection
 from recorders.simulators.arm.description import jaco, read_arm
 from tunenet_logs.arrays import Array

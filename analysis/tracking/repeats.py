@@ -25,7 +25,7 @@ _MOVED_PX, _STOOD_PX = 1.0, 0.5
 _ONWARD = 0.8
 """Cosine between the way that came and the one that went on: a bounce turns, flight goes on."""
 
-_HABIT, _HABITUAL = 3, 0.05
+_HABIT, _HABITUAL = 3, 0.02
 """Times that a ball that goes on is seen once more where it was, and their share of the steps that
 it moves, from which on a recording is one that doubles pictures."""
 

@@ -37,6 +37,8 @@ class VideoFile:
         if not path.stat().st_size:
             raise CameraError(f"{path}: is empty; copy the video again")
         self._video = open_video(path, filmed_hz)
+        if not self._video.clock.is_timed:
+            raise CameraError(f"{path}: does not say how many pictures a second it has; add --fps")
         self._closed = False
         self.name = f"video file {path.name}"
 

@@ -40,6 +40,7 @@ _LIMITS = {
     "rate_hz": (1.0, 20_000.0, "Hz"),
     "samples": (2, 1_000_000, ""),
     "hold_s": (0.0, 600.0, "s"),
+    "speed_m_s": (-1000.0, 1000.0, "m/s"),
 }
 
 
@@ -48,7 +49,8 @@ class DropRig:
     """What is set up before the ball is let go.
 
     Attributes:
-        gap_m: height of the ball's underside over the plane: the distance it falls.
+        gap_m: height of the ball's underside over the plane when it is let go.
+        speed_m_s: upward speed then: 0 for a ball that is dropped. Only with calibrated contacts.
         radius_m: of the ball.
         rate_hz: samples a second; the engine steps once a sample, and once more at each impact.
         samples: how many.
@@ -68,12 +70,15 @@ class DropRig:
     hold_s: float = 0.0
     start_ns: int = 0
     times_s: tuple[float, ...] = ()
+    speed_m_s: float = 0.0
 
     def __post_init__(self) -> None:
         for item in fields(self):
             if item.name in _LIMITS:
                 low, high, unit = _LIMITS[item.name]
                 value = getattr(self, item.name)
+                if item.name == "gap_m" and self.speed_m_s:
+                    low = 0.0  # it flies already
                 if not (math.isfinite(value) and low <= value <= high):
                     raise UsageError(
                         f"{item.name} {value:g} is not from {low:g} to {high:g} {unit}".rstrip()
@@ -101,14 +106,16 @@ class Flight:
     _OVERLAP_M = 1e-9
     """How far the ball is let into the plane: the engine acts only on what touches."""
 
-    def __init__(self, world: BallWorld, gap_m: float, law: SpeedLaw, drag_1_m: float) -> None:
+    def __init__(
+        self, world: BallWorld, gap_m: float, speed_m_s: float, law: SpeedLaw, drag_1_m: float
+    ) -> None:
         world.place(gap_m, law.restitution)
         self._world = world
         self._law = law
         self._drag_1_m = drag_1_m
         self._gravity = world.contact.gravity_m_s2
         self._height_m = world.radius_m + gap_m
-        self._speed_m_s = 0.0
+        self._speed_m_s = speed_m_s
         self._at_rest = False
 
     def advance(self, seconds: float) -> float:
@@ -213,15 +220,10 @@ class DropSimulator:
     def _flown(self, values: Mapping[str, float], seconds: Array) -> Array:
         """Heights of the centre at these times [m], shape (T,), each impact met."""
         rig, drag_1_m = self.rig, values[DRAG.name]
-        first = flown(
-            rig.gap_m,
-            0.0,
-            lands_after_s(rig.gap_m, 0.0, self.contact.gravity_m_s2, drag_1_m),
-            self.contact.gravity_m_s2,
-            drag_1_m,
-        )
+        lands_s = lands_after_s(rig.gap_m, rig.speed_m_s, self.contact.gravity_m_s2, drag_1_m)
+        first = flown(rig.gap_m, rig.speed_m_s, lands_s, self.contact.gravity_m_s2, drag_1_m)
         law = SpeedLaw(values[RESTITUTION.name], values[SLOPE.name], -first[1])
-        flight = Flight(self._world, rig.gap_m, law, drag_1_m)
+        flight = Flight(self._world, rig.gap_m, rig.speed_m_s, law, drag_1_m)
         heights_m = np.full(len(seconds), rig.radius_m + rig.gap_m)
         now_s = rig.hold_s
         for index in np.flatnonzero(seconds > rig.hold_s).tolist():

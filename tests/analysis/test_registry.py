@@ -12,7 +12,8 @@ from analysis.batch import tune_all
 from analysis.checks import Check, CrossCheck
 from analysis.estimators.base import Estimator, FitResult, Observation, Problem, Step, Trace
 from analysis.experiment import Claim, Preset
-from analysis.record import Motion, Rebound
+from analysis.motion import Motion
+from analysis.record import Rebound
 from analysis.record_json import read_record, to_json
 from analysis.registry import EXPERIMENTS, METHODS, experiment_named, method_named
 from analysis.selection import Options, Selection

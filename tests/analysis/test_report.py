@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from analysis.record import Equivalent, Equivalents, Motion, Tuning, record_of
+from analysis.motion import Equivalent, Equivalents, Motion
+from analysis.record import Tuning, record_of
 from analysis.report import Row, interval_words, row_of, table
 from analysis.review.words import result_words
 from analysis.selection import Options

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from analysis.selection import Options
 from analysis.tuning import tune_log
 from tests.strangers import Stranger, write_table
-from tunenet_logs.episode import Episode
+from tunenet_logs.episode import UNSTATED, Episode
 from tunenet_logs.errors import LogError, TuneNetError
 from tunenet_logs.formats.tables import lines
 from tunenet_logs.reader import read_episode
@@ -63,7 +63,8 @@ XYZ = [[1, 2, 3], [4, 5, 6.5]]
 )
 def test_a_track_however_it_is_written(tmp_path: Path, text: str):
     signal = one(tmp_path, text)
-    assert (signal.name, signal.columns, signal.unit) == ("track", ("x", "y", "z"), "m")
+    unit = "m" if "mm" in text or "[m]" in text else UNSTATED
+    assert (signal.name, signal.columns, signal.unit) == ("track", ("x", "y", "z"), unit)
     assert signal.stamps_ns.tolist() == [500_000_000, 1_000_000_000]
     np.testing.assert_allclose(signal.values, XYZ, rtol=1e-15)
 
@@ -92,10 +93,12 @@ def test_torques_positions_and_velocities_of_joints(tmp_path: Path):
     text = "t,joint1_effort,elbow_torque_Nm,tau_3,joint1_angle_deg,LF_HAA.vel,qd_2 (rad/s)\n"
     signals = read(tmp_path, text + "0,1,2,3,180,5,6\n1,1,,nan,90,5,6\n").signals
     effort = signals["joints.effort"]
-    assert (effort.columns, effort.unit) == (("joint1", "elbow", "joint3"), "N·m")
-    assert np.array_equal(effort.values, [[1, 2, 3], [1, np.nan, np.nan]], equal_nan=True)
-    np.testing.assert_allclose(signals["joints.position"].values, [[np.pi], [np.pi / 2]])
-    assert signals["joints.velocity"].columns == ("LF_HAA", "joint2")
+    joints = ("joint1", "elbow", "joint3", "LF_HAA", "joint2")
+    assert all(signal.columns == joints for signal in signals.values())
+    assert effort.unit == "N·m"
+    assert np.array_equal(effort.values[:, :3], [[1, 2, 3], [1, np.nan, np.nan]], equal_nan=True)
+    assert np.isnan(effort.values[:, 3:]).all()
+    np.testing.assert_allclose(signals["joints.position"].values[:, 0], [np.pi, np.pi / 2])
     assert [one.unit for one in signals.values()].count("rad/s") == 1
 
 
@@ -124,7 +127,12 @@ def test_names_of_joints_that_rostopic_writes_beside(tmp_path: Path):
 
 @pytest.mark.parametrize(
     ("column", "reason"),
-    [("ball_x_px", "pixels"), ("quat_x", "no position"), ("mood", "name"), ("lift_pos_m", "unit")],
+    [
+        *(("x_px", "unit of length"), ("quat_x", "no position"), ("mood", "name")),
+        *(("lift_pos_m", "unit"), ("Velocity (m/s)", "speed"), ("a (m/s²)", "speed")),
+        *(("frame", "times"), ("target_q_1", "asked for"), ("height", "column z")),
+        *(("joint_position_deviation_ratio", "no position of a joint"), ("current", "no joint")),
+    ],
 )
 def test_columns_that_are_not_used_say_why(tmp_path: Path, column: str, reason: str):
     channels = {one.topic: one for one in read(tmp_path, f"t,z,{column}\n0,1,2\n").channels}
@@ -136,21 +144,25 @@ def test_columns_that_are_not_used_say_why(tmp_path: Path, column: str, reason: 
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("t,u,v\n0,1,2\n", "pixels"),
-        ("t,x_px,y_px\n0,1,2\n", "pixels"),
-        ("0,1,2\n1,2,3\n", "no line that names its columns.*t,x,y,z"),
-        ("x,y,z\n1,2,3\n", "no line names a column of times.*t,x,y,z"),
+        (
+            "0,1.9,2\n1,1.6,0.02\n",
+            "has no line that names its columns; its columns by number are 1: 0 to 1, 2: 1.9 to "
+            "1.6, 3: 2 to 0.02; say which they are, for example --columns t=1,z=2",
+        ),
+        ("0,1\n1,2\n", "perhaps --columns t=1,z=2"),
+        ("0 1 2 3\n1 2 3 4\n", "perhaps --columns t=1,x=2,y=3,z=4"),
+        ("x,y,z\n1,2,3\n", r"none of its columns is a time .*\('x', 'y', 'z'\).*add a column of t"),
+        ("Zeit;Höhe (cm)\n1;2\n", r"--columns t=Zeit,z='Höhe \(cm\)'"),
         ("just a text\n", "times"),
         ("t,x,y,z\n", "no row"),
         ("t,x,y,z\na,b,c,d\n", "none of its 1 rows"),
         ("t,x,x\n0,1,2\n", "several columns"),
         ("t,position\n0,1\n", "of what"),
         ("t,x,x\ns,mm,mm\n0,1,2\n", "several columns"),
-        ("t,x\ns,px\n0,1\n", "pixels"),
-        ("t,x\ns,ft\n0,1\n", "line 2: 'x' is in 'ft'.*convert it to m"),
+        ("t,x\ns,km\n0,1\n", "line 2: 'x' is in 'km'.*convert it to m"),
         ("t,x\nh,mm\n0,1\n", "line 2: 't' is in 'h'.*convert it"),
         ("t_ms,x\ns,mm\n0,1\n", "line 2: 't_ms' is said to be in 's'"),
-        ("Length Units,Feet\nt,x\n0,1\n", "line 1: lengths are in 'Feet'.*convert it to m"),
+        ("Length Units,Miles\nt,x\n0,1\n", "line 1: lengths are in 'Miles'.*convert it to m"),
         ("t,x\n,\n-,\n", "none of its 1 rows holds a value"),
         ("t,x\n\n21.11.2026 10:00,1\n", "line 3, column 't': '21.11.2026 10:00' is no time; write"),
         ("t,x\n2026-13-21 10:00,1\n", "'2026-13-21 10:00' is no time"),
@@ -241,7 +253,7 @@ def test_sizes_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     with pytest.raises(LogError, match=r"line 2 is longer than 1 MiB.* 5000 columns"):
         read(tmp_path, f"\nt,z,{names}\n0,1\n")
     monkeypatch.setattr(lines, "_MOST_BYTES", 10)
-    with pytest.raises(LogError, match="1 GiB"):
+    with pytest.raises(LogError, match="512 MiB"):
         read(tmp_path, "t,z\n0,1\n1,2\n")
 
 

@@ -113,3 +113,24 @@ def test_positions_that_stall_tell_the_same(tmp_path: Path):
                 writer.write_pose("/mocap/ball", int(stamp_ns), position_m)
     even, stalled = (tune_log(tmp_path / f"{one}.mcap", Options()) for one in ("even", "stalled"))
     assert value(stalled) == pytest.approx(value(even), abs=1e-4)
+
+
+@pytest.mark.parametrize("rate_hz", [100, 120, 360])
+@pytest.mark.parametrize("decimals", [6, 9])
+@pytest.mark.parametrize("seen", [0.3, 0.5, 0.6, 0.9])
+def test_frames_that_were_not_seen_are_no_burst(rate_hz: int, decimals: int, seen: float):
+    frames = np.flatnonzero(np.random.default_rng(rate_hz).random(2000) < seen)
+    frames = np.delete(frames, slice(300, 500))
+    stamps = np.round(np.round(frames / rate_hz, decimals) * 1e9).astype(np.int64)
+    arrivals = correct_late_stamps(stamps)
+    np.testing.assert_array_equal(arrivals.stamps_ns, stamps)
+    assert arrivals.warnings("samples") == []
+
+
+@pytest.mark.parametrize("quantum_ns", [1_000, 100_000, 1_000_000])
+def test_a_burst_in_rounded_stamps_is_no_grid(quantum_ns: int):
+    late = held_up(held_up(held_up(CLOCK, 40, 150, 1000), 90, 150, 1000), 150, 150, 1000)
+    rounded = late // quantum_ns * quantum_ns
+    arrivals = correct_late_stamps(rounded)
+    assert np.abs(arrivals.stamps_ns - CLOCK).max() < 0.5 * PERIOD_NS
+    assert "ms late" in arrivals.warnings("samples")[0]

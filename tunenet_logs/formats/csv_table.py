@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from array import array
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from itertools import chain, islice
+from math import isclose
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,7 @@ from numpy.typing import NDArray
 
 from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import LogError
+from tunenet_logs.formats.read_options import AS_IT_SAYS, ReadOptions
 from tunenet_logs.formats.tables.failures import (
     CELLS_REMEDY,
     DAMAGED_REMEDY,
@@ -22,21 +25,28 @@ from tunenet_logs.formats.tables.failures import (
     UnreadableError,
     unreadable,
 )
+from tunenet_logs.formats.tables.group import Group
 from tunenet_logs.formats.tables.header import OpenTable, open_table
-from tunenet_logs.formats.tables.layout import Group, TableLayout
-from tunenet_logs.formats.tables.lines import cells_of
+from tunenet_logs.formats.tables.joints import with_torques
+from tunenet_logs.formats.tables.layout import TableLayout
+from tunenet_logs.formats.tables.lines import cells_of, lines_of
+from tunenet_logs.formats.tables.meaning import LENGTHS
 from tunenet_logs.formats.tables.numbers import Numbers, decimal_of
+from tunenet_logs.formats.tables.runs import RunNames
+from tunenet_logs.formats.tables.samples import SignalSamples
 from tunenet_logs.formats.tables.times import Clock, lacks_zone, power_by_size, says_its_unit
-from tunenet_logs.timestamp_correction import order_samples
 
 _LOOK_ROWS = 100
 """Read ahead, to see how numbers are written and in which unit times are that name none."""
+
+_MOST_ROWS = 2_000_000
+"""Of a table: its cells are read one by one, in Python; 2 hours at 240 Hz."""
 
 _SLOW_S = 0.5
 """From row to row; what is sampled more slowly was timed in another unit than seconds, perhaps."""
 
 
-def read_csv(path: Path) -> Episode:
+def read_csv(path: Path, options: ReadOptions = AS_IT_SAYS) -> Episode:
     """A table as an episode: a signal for each thing that moves, and for each joints' quantity.
 
     Raises:
@@ -44,31 +54,60 @@ def read_csv(path: Path) -> Episode:
             that cannot.
     """
     try:
-        table = open_table(path)
-        rows = _TableReading(table)
-        rows.read()
+        return read_lines(path, lines_of(path), options)
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+def read_lines(path: Path, lines: Iterable[str | None], options: ReadOptions) -> Episode:
+    """Lines of text as a table, wherever they come from: a sheet's cells with tabs between them.
+
+    Args:
+        path: of the file, for messages.
+        lines: without their ends; None for one that is too long.
+        options: what its user says of it.
+
+    Raises:
+        LogError: see `read_csv`.
+    """
+    table = open_table(path, lines, options.columns, options.rate_hz is not None)
+    if why := _contradiction(table.layout, options):
+        raise LogError(f"{path}: {why}")
+    try:
+        groups = with_torques(table.layout.groups, options.torque_constants)
+    except ValueError as error:
+        raise LogError(f"{path}: {error}") from error
+    table = replace(table, layout=replace(table.layout, groups=tuple(groups)))
+    rows = _TableReading(table, options)
+    rows.read(path)
     return rows.episode(path)
 
 
 class _TableReading:
     """One pass over the rows of a table."""
 
-    def __init__(self, table: OpenTable) -> None:
+    def __init__(self, table: OpenTable, options: ReadOptions) -> None:
         self._table = table
         self._layout: TableLayout = table.layout
+        self._runs = RunNames(table.layout.run[1] if table.layout.run else "run")
+        self._clocks = tuple(dict.fromkeys(group.clock for group in table.layout.groups))
         self._samples = [
-            _SignalSamples(group, table.layout.header) for group in table.layout.groups
+            SignalSamples(group, table.layout.header, options) for group in table.layout.groups
         ]
+        has_stamps = any(group.stamp is not None for group in table.layout.groups)
+        self._is_plain = len(self._clocks) == 1 and not has_stamps and table.layout.run is None
         self._numbers = Numbers(table.layout.separator)
         self._powers: dict[Clock, int] = {}
         self._dated: dict[str, bool] = {}
         self._count = 0
         self._failures = Failures()
 
-    def read(self) -> None:
-        """All rows; those that cannot be read are counted."""
+    def read(self, path: Path) -> None:
+        """All rows; those that cannot be read are counted.
+
+        Raises:
+            LogError: they are too many.
+        """
         rows = self._cells()
         first = list(islice(rows, _LOOK_ROWS))
         self._look([cells for _, cells in first if cells and len(cells) == self._layout.width])
@@ -76,8 +115,12 @@ class _TableReading:
             try:
                 self._add(cells)
             except UnreadableError as error:
+                if cells and _is_heading(cells, self._layout.header):
+                    continue
                 self._failures.add(line, error)
             self._count += 1
+            if self._count > _MOST_ROWS:
+                raise LogError(f"{path}: is a table of over {_MOST_ROWS} rows, the limit; split it")
 
     def _cells(self) -> Iterator[tuple[int, list[str] | None]]:
         """The number of each row's line and its cells; None where it is too long."""
@@ -96,7 +139,7 @@ class _TableReading:
     def _look(self, whole: Sequence[Sequence[str]]) -> None:
         """How numbers are written, units of times that have none, names of joints."""
         stamps = {group.stamp for group in self._layout.groups if group.stamp is not None}
-        clocks = {self._layout.clock, *stamps}
+        clocks = {*self._clocks, *stamps}
         used = {column.index for group in self._layout.groups for column in group.used}
         used.update(index for clock in clocks for index in clock.indices)
         decimal = decimal_of(cells[index] for cells in whole for index in used)
@@ -129,11 +172,22 @@ class _TableReading:
         found = [(samples, row) for samples, row in read if row is not None]
         if not found:
             return
-        arrival_ns = self._time(self._layout.clock, cells)
+        if self._is_plain:
+            arrival_ns = self._time(self._clocks[0], cells)
+            for samples, row in found:
+                samples.add(0, arrival_ns, row)
+            return
+        if len(self._clocks) == 1:
+            arrivals = [self._time(self._clocks[0], cells)] * len(found)
+        else:
+            arrivals = [self._time(samples.group.clock, cells) for samples, _ in found]
         stamps = (samples.group.stamp for samples, _ in found)
         taken = [0 if stamp is None else self._time(stamp, cells) for stamp in stamps]
-        for stamp_ns, (samples, row) in zip(taken, found, strict=True):
+        run = None if self._layout.run is None else self._runs.number(cells[self._layout.run[0]])
+        for stamp_ns, arrival_ns, (samples, row) in zip(taken, arrivals, found, strict=True):
             samples.add(stamp_ns, arrival_ns, row)
+            if run is not None:
+                samples.add_run(run)
 
     def _time(self, clock: Clock, cells: Sequence[str]) -> int:
         texts: list[str] = []
@@ -162,14 +216,16 @@ class _TableReading:
         first_ns = min(min(samples.arrivals) for samples in filled)
         notes = self._notes(first_ns)
         signals: dict[str, Signal] = {}
-        for samples in filled:
-            signals[samples.group.name], repairs = samples.signal(max(0, -first_ns))
+        channels: list[Channel] = []
+        for samples in self._samples:
+            try:
+                made, own, repairs = samples.signals(max(0, -first_ns), self._runs.names)
+            except ValueError as error:
+                raise LogError(f"{path}: {error}") from error
+            signals.update({signal.name: signal for signal in made if len(signal.stamps_ns)})
+            channels += own
             notes += repairs
         notes += self._doubts(signals)
-        channels = [
-            Channel(samples.group.name, _type(samples), "csv", np.array(samples.arrivals, np.int64))
-            for samples in self._samples
-        ]
         none: NDArray[np.int64] = np.empty(0, np.int64)
         channels += [
             Channel(name[:200], "", "csv", none, skipped=reason)
@@ -189,9 +245,9 @@ class _TableReading:
             notes.append(f"times begin at {first_ns / 1e9:.9g} s; they were moved to begin at 0")
         return notes
 
-    def _doubts(self, signals: dict[str, Signal]) -> list[str]:
+    def _doubts(self, signals: Mapping[str, Signal]) -> list[str]:
         """Times that may be in another unit than was guessed."""
-        clock = self._layout.clock
+        clock = self._clocks[0]
         rates = [signal.rate_hz for signal in signals.values() if signal.rate_hz]
         is_known = clock.power is not None or clock.name in self._dated or self._powers[clock]
         if is_known or not rates or max(rates) > 1 / _SLOW_S:
@@ -200,63 +256,6 @@ class _TableReading:
             f"{clock.name!r} names no unit and was taken as seconds, {1 / max(rates):g} from row "
             "to row; if it is not, name it t_ms, t_us or t_ns"
         ]
-
-
-class _SignalSamples:
-    """What one group of columns has delivered: flat, a table of an hour must fit."""
-
-    def __init__(self, group: Group, header: Sequence[str]) -> None:
-        self.group = group
-        self.columns = group.columns
-        self.stamps = array("q")
-        self.arrivals = array("q")
-        self._header = header
-        self._incomplete = 0
-        self._values = array("d")
-        self._empty = [0.0 if group.needs_all else float("nan")] * len(group.columns)
-
-    def read(self, cells: Sequence[str], numbers: Numbers) -> list[float] | None:
-        """The values of a row; None where it has none, or lacks a coordinate.
-
-        Raises:
-            UnreadableError: what is there is no number.
-        """
-        row = self._empty.copy()
-        missing = 0
-        for column in self.group.used:
-            try:
-                value = numbers.read(cells[column.index])
-            except ValueError as why:
-                name = self._header[column.index]
-                raise unreadable(name, cells[column.index], why, NUMBER_REMEDY) from None
-            row[column.row] = value * column.scale
-            missing += value != value  # noqa: PLR0124 (NaN)
-        if missing == len(self.group.used):
-            return None
-        if missing and self.group.needs_all:
-            self._incomplete += 1
-            return None
-        return row
-
-    def add(self, stamp_ns: int, arrival_ns: int, row: list[float]) -> None:
-        """One more sample."""
-        self.stamps.append(stamp_ns)
-        self.arrivals.append(arrival_ns)
-        self._values.extend(row)
-
-    def signal(self, offset_ns: int) -> tuple[Signal, list[str]]:
-        """The signal, and what was left out or repaired."""
-        arrivals = np.frombuffer(self.arrivals, np.int64) + offset_ns
-        stamps = np.frombuffer(self.stamps, np.int64)
-        values = np.frombuffer(self._values).reshape(-1, len(self.columns))
-        if len(arrivals) < 2:  # too few to tell whether stamps were set
-            stamps = arrivals
-        keep, stamps_ns, notes = order_samples(stamps, arrivals)
-        if self._incomplete:
-            notes.append(f"{self._incomplete} samples without all coordinates were left out")
-        name = self.group.name
-        signal = Signal(name, stamps_ns, values[keep], self.columns, self.group.unit)
-        return signal, [f"{name}: {note}" for note in notes]
 
 
 def _named(group: Group, layout: TableLayout, rows: Sequence[Sequence[str]]) -> tuple[str, ...]:
@@ -272,6 +271,23 @@ def _named(group: Group, layout: TableLayout, rows: Sequence[Sequence[str]]) -> 
     return named if len(set(named)) == len(named) else group.columns
 
 
-def _type(samples: _SignalSamples) -> str:
-    columns = ", ".join(samples.columns) if len(samples.columns) <= 8 else "joints"
-    return f"{columns} [{samples.group.unit}]"
+def _is_heading(cells: Sequence[str], header: Sequence[str]) -> bool:
+    """Whether a row between runs is the header again, or says which run follows."""
+    stripped = [cell.strip() for cell in cells]
+    if stripped == [name.strip() for name in header]:
+        return True
+    text = " ".join(filter(None, stripped))
+    return bool(re.fullmatch(r"(?:run|trial|drop|take|episode)\W{0,3}\d{1,6}\W?", text, re.I))
+
+
+def _contradiction(layout: TableLayout, options: ReadOptions) -> str:
+    """What the user says of lengths that the table says otherwise; "" where that is nothing."""
+    for group in layout.groups if options.length_unit else ():
+        for column in group.used if group.unit == "m" else ():
+            if options.length_m is None or not isclose(column.scale, options.length_m):
+                named = next(name for name, size in LENGTHS.items() if size == column.scale)
+                return (
+                    f"column {layout.header[column.index][:60]!r} is in {named}, and --length-unit "
+                    f"says {options.length_unit}; leave it out"
+                )
+    return ""

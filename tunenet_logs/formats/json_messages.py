@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import math
+from collections.abc import Callable
 from functools import partial
 from types import SimpleNamespace
 from typing import Any, NoReturn
@@ -56,6 +57,36 @@ def json_decoder(channel: RawChannel) -> Decode:
 
 def _decode(shape: Fields, is_picture: bool, data: bytes | memoryview) -> Any:
     most = _MOST_PICTURE_BYTES if is_picture else _MOST_BYTES
+    try:
+        return _built(_loaded(data, most, is_picture=is_picture), shape)
+    except DAMAGED as error:
+        raise MessageError(f"a message is damaged: {described(error)}") from error
+
+
+def any_json(data: bytes | memoryview) -> Any:
+    """A message of any type: its objects have their fields as attributes.
+
+    Raises:
+        MessageError: it is damaged, or larger or deeper than any that is read.
+    """
+    try:
+        return _loaded(data, _MOST_BYTES, hook=lambda fields: SimpleNamespace(**fields))
+    except DAMAGED as error:
+        raise MessageError(f"a message is damaged: {described(error)}") from error
+
+
+def _loaded(
+    data: bytes | memoryview,
+    most: int,
+    *,
+    is_picture: bool = False,
+    hook: Callable[[dict[str, Any]], Any] | None = None,
+) -> Any:
+    """What a message says, once it is known to be none that is made to hurt.
+
+    Raises:
+        MessageError, DAMAGED: it is, or is no JSON.
+    """
     if len(data) > most:
         raise MessageError(f"a message of {len(data)} bytes is over the limit of {most}")
     raw = bytes(data)
@@ -63,10 +94,7 @@ def _decode(shape: Fields, is_picture: bool, data: bytes | memoryview) -> Any:
         raise MessageError(f"a picture has over {_MOST_PICTURE_PARTS} objects and lists")
     if _is_deep(raw):
         raise MessageError(f"a message is nested more than {_MOST_DEPTH} deep")
-    try:
-        return _built(json.loads(raw.decode(), parse_constant=_refuse), shape)
-    except DAMAGED as error:
-        raise MessageError(f"a message is damaged: {described(error)}") from error
+    return json.loads(raw.decode(), parse_constant=_refuse, object_hook=hook)
 
 
 def _refuse(name: str) -> NoReturn:

@@ -61,12 +61,15 @@ _NO_END = "the end of the file is missing (a recording that did not end?)"
 
 
 def read_mcap(
-    path: Path, losses: list[Loss], topics: Sequence[str] | None = None
+    path: Path,
+    losses: list[Loss],
+    topics: Sequence[str] | None = None,
+    budget: Budget | None = None,
 ) -> Iterator[Record]:
-    """The records of an MCAP file; see `Container`. Every CRC that the file carries is checked."""
+    """The records of an MCAP file; see `MessageFile`. Every CRC that it carries is checked."""
     with open(path, "rb") as file:
         size = os.fstat(file.fileno()).st_size
-        yield from _McapReading(file, size, losses, topics, Budget(size)).records()
+        yield from _McapReading(file, size, losses, topics, budget or Budget(size)).records()
 
 
 class _Exact(BytesIO):

@@ -22,10 +22,10 @@ from tunenet_logs.formats.shapes import Fields, Leaf, Many, Shape, shape_of
 if TYPE_CHECKING:
     from google.protobuf.descriptor import Descriptor, FieldDescriptor
 
-_MOST_SCHEMA_BYTES = 4 * 1024 * 1024
+MOST_SCHEMA_BYTES = 4 * 1024 * 1024
 """The descriptors of a type with all that it is made of have some kilobytes."""
 
-_MOST_REPEATED_BYTES = 4 * 1024 * 1024
+MOST_REPEATED_BYTES = 4 * 1024 * 1024
 """Of a message whose type has lists: two bytes of it may become an object of ninety."""
 
 _WELL_KNOWN = (
@@ -51,17 +51,17 @@ def protobuf_decoder(channel: RawChannel) -> Decode:
         raise UnusableError(
             f"schema encoding {channel.schema_encoding[:20]!r} is not read (only protobuf)"
         )
-    if len(channel.schema) > _MOST_SCHEMA_BYTES:
-        raise UnusableError(f"its schema is larger than {_MOST_SCHEMA_BYTES} bytes")
+    if len(channel.schema) > MOST_SCHEMA_BYTES:
+        raise UnusableError(f"its schema is larger than {MOST_SCHEMA_BYTES} bytes")
     shape = shape_of(channel)
     from google.protobuf.message import Error
     from google.protobuf.message_factory import GetMessageClass
 
     try:
-        descriptor = _descriptor(channel.schema, channel.type_name)
+        descriptor = descriptor_of(channel.schema, channel.type_name)
         _check(descriptor, shape, channel.type_name)
         parse = GetMessageClass(descriptor).FromString
-        most = _MOST_REPEATED_BYTES if _has_lists(descriptor) else MAX_PART_BYTES
+        most = MOST_REPEATED_BYTES if has_lists(descriptor) else MAX_PART_BYTES
     except (Error, *DAMAGED) as error:
         raise UnusableError(f"its schema is damaged: {described(error)}") from error
 
@@ -78,7 +78,7 @@ def protobuf_decoder(channel: RawChannel) -> Decode:
     return decode
 
 
-def _descriptor(schema: bytes, type_name: str) -> Descriptor:
+def descriptor_of(schema: bytes, type_name: str) -> Descriptor:
     """The message type, from a set of files in any order.
 
     Raises:
@@ -166,7 +166,7 @@ def _types(leaf: Leaf) -> frozenset[int]:
     return frozenset(types[leaf])
 
 
-def _has_lists(top: Descriptor) -> bool:
+def has_lists(top: Descriptor) -> bool:
     """Whether anything that its messages can hold is a list (or a map)."""
     seen: set[str] = set()
     waiting = [top]

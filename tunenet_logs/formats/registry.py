@@ -6,32 +6,77 @@ Which container a file is, its first bytes tell; names tell little.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import LogError
-from tunenet_logs.formats.base import Container, Decode, RawChannel, UnusableError
-from tunenet_logs.formats.compression import ZSTD_MAGIC
+from tunenet_logs.formats.base import Container, Decode, Loss, RawChannel, UnusableError
 from tunenet_logs.formats.csv_table import read_csv
-from tunenet_logs.formats.database import MAGIC as DB3_MAGIC
+from tunenet_logs.formats.exports.arrays.json_lines import is_json_lines, read_json_lines
+from tunenet_logs.formats.exports.arrays.matlab_file import is_matlab_file, read_matlab_file
+from tunenet_logs.formats.exports.arrays.numpy_file import is_numpy_file, read_numpy_file
+from tunenet_logs.formats.exports.arrays.parquet import is_parquet, read_parquet
+from tunenet_logs.formats.exports.mocap.c3d import is_c3d, read_c3d
+from tunenet_logs.formats.exports.mocap.motive import is_motive, read_motive
+from tunenet_logs.formats.exports.mocap.nexus import is_nexus, read_nexus
+from tunenet_logs.formats.exports.mocap.qualisys import is_qualisys, read_qualisys
+from tunenet_logs.formats.exports.mocap.trc import is_trc, read_trc
+from tunenet_logs.formats.exports.pictures.picture_archive import (
+    is_picture_archive,
+    read_picture_archive,
+)
+from tunenet_logs.formats.exports.pictures.picture_folder import (
+    is_picture_folder,
+    read_picture_folder,
+)
+from tunenet_logs.formats.exports.robots.robot_table import is_robot_table, read_robot_table
+from tunenet_logs.formats.exports.sheets.sensor_runs import is_sensor_runs, read_sensor_runs
+from tunenet_logs.formats.exports.sheets.sheets import is_sheets, read_sheets
+from tunenet_logs.formats.exports.start import Start, start_of
+from tunenet_logs.formats.exports.trackers.imagej import is_imagej, read_imagej
+from tunenet_logs.formats.exports.trackers.tracker import is_tracker, read_tracker
+from tunenet_logs.formats.foreign_kinds import foreign_kind
 from tunenet_logs.formats.json_messages import json_decoder
-from tunenet_logs.formats.mcap_container import MAGIC as MCAP_MAGIC
-from tunenet_logs.formats.mcap_container import read_mcap
+from tunenet_logs.formats.message_files import message_file, read_packed
+from tunenet_logs.formats.packed_file import (
+    MOST_FOREIGN_BYTES,
+    compression_of,
+    unpacked,
+    unpacked_start,
+)
 from tunenet_logs.formats.protobuf import protobuf_decoder
+from tunenet_logs.formats.read_options import AS_IT_SAYS, ReadOptions
 from tunenet_logs.formats.ros import ros_decoder
-from tunenet_logs.formats.ros1_bag import MAGIC as BAG_MAGIC
-from tunenet_logs.formats.ros1_bag import read_bag
-from tunenet_logs.formats.ros2_db3 import read_db3
 from tunenet_logs.formats.ros2_folder import read_folder
 from tunenet_logs.formats.tables.lines import SUFFIXES, is_table
 from tunenet_logs.formats.video import read_video
 
-_CONTAINERS: dict[bytes, Container] = {
-    MCAP_MAGIC: read_mcap,
-    BAG_MAGIC: read_bag,
-    DB3_MAGIC: read_db3,
-}
-"""Files of messages, by their first bytes."""
+_EXPORTS: tuple[tuple[Callable[[Start], bool], Callable[[Path, ReadOptions], Episode]], ...] = (
+    (is_motive, read_motive),
+    (is_nexus, read_nexus),
+    (is_qualisys, read_qualisys),
+    (is_trc, read_trc),
+    (is_c3d, read_c3d),
+    (is_tracker, read_tracker),
+    (is_imagej, read_imagej),
+    (is_sensor_runs, read_sensor_runs),
+    (is_sheets, read_sheets),
+    (is_robot_table, read_robot_table),
+    (is_parquet, read_parquet),
+    (is_numpy_file, read_numpy_file),
+    (is_matlab_file, read_matlab_file),
+    (is_json_lines, read_json_lines),
+    (is_picture_archive, read_picture_archive),
+)
+"""What programs and instruments export, by how its files begin; the first that knows a file reads
+it."""
+
+_START_BYTES = 16
+"""Of a file, by which one of messages is known."""
+
+_UNPACK = {"zstd": "`zstd -d`", "gzip": "`gunzip`", "bzip2": "`bunzip2`", "lz4": "`lz4 -d`"}
+"""What unpacks a file, by its compression."""
 
 DECODERS: dict[str, Callable[[RawChannel], Decode]] = {
     "cdr": ros_decoder,
@@ -42,31 +87,35 @@ DECODERS: dict[str, Callable[[RawChannel], Decode]] = {
 """Encodings of messages; a function makes the decoder for a channel, or raises UnusableError."""
 
 
-def open_log(path: Path) -> Container | Episode:
+def open_log(path: Path, options: ReadOptions = AS_IT_SAYS) -> Container | Episode:
     """How the messages of a log are read; or the episode, where a file is no such container.
+
+    Args:
+        path: of the log.
+        options: what its user says of a file of no messages.
 
     Raises:
         LogError: there is no such file, or it is nothing that is read here.
     """
     try:
         if path.is_dir():
-            return read_folder
+            is_pictures = is_picture_folder(path)
+            return read_picture_folder(path, options) if is_pictures else read_folder
         if not path.exists():
             raise LogError(f"{path}: no such file")
         if not path.is_file():
             raise LogError(f"{path}: is no regular file; record it to one first")
         with open(path, "rb") as file:
-            start = file.read(max(map(len, _CONTAINERS)))
+            start = file.read(_START_BYTES)
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror})") from error
     if not start:
         raise LogError(f"{path}: is empty; record it again")
-    if start.startswith(ZSTD_MAGIC):
-        raise LogError(f"{path}: is compressed as a whole; unpack it first with `zstd -d`")
-    for magic, container in _CONTAINERS.items():
-        if start.startswith(magic):
-            return container
-    return _read_foreign(path)
+    if container := message_file(start):
+        return container
+    if compression := compression_of(start):
+        return _open_packed(path, compression, options)
+    return _read_foreign(path, options)
 
 
 def is_folder(path: Path) -> bool:
@@ -97,17 +146,52 @@ def decoder_for(channel: RawChannel) -> Decode:
     return DECODERS[channel.encoding](channel)
 
 
-def _read_foreign(path: Path) -> Episode:
-    """A file of no messages: a table, a video, or nothing that is read here."""
+def _read_foreign(path: Path, options: ReadOptions) -> Episode:
+    """A file of no messages: an export, a table, a video, or nothing that is read here."""
     try:
+        start = start_of(path)
+        for is_this, read in _EXPORTS:
+            if is_this(start):
+                return read(path, options)
         if is_table(path):
-            return read_csv(path)
+            return read_csv(path, options)
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror})") from error
     try:
-        return read_video(path)
+        return read_video(path, options)
     except LogError as error:
+        if kind := foreign_kind(start.data, path):
+            what, remedy = kind
+            raise LogError(f"{path}: is {what}, which is not read as it is; {remedy}") from error
         why = str(error).removeprefix(f"{path}: ")
         known = f"an MCAP log, a bag (.bag, .db3), a table ({', '.join(SUFFIXES)}) or a video"
         remedy = "convert it to one of these or, if it is one, record or copy it again"
         raise LogError(f"{path}: is not {known}: it {why}; {remedy}") from error
+
+
+def _open_packed(path: Path, compression: str, options: ReadOptions) -> Container | Episode:
+    """A file that was compressed as a whole: messages are read piece by piece, others at once.
+
+    Raises:
+        LogError: what is inside is not read, or only when it is unpacked.
+    """
+    losses: list[Loss] = []
+    try:
+        if message_file(unpacked_start(path, compression, _START_BYTES)):
+            return read_packed
+        with unpacked(path, compression, losses, MOST_FOREIGN_BYTES) as (inside, _):
+            episode = _read_inside(inside, path, options)
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read ({error.strerror})") from error
+    if episode.open_frames is not None:
+        raise LogError(f"{path}: is a packed video; unpack it first with {_UNPACK[compression]}")
+    lost = tuple(str(loss) for loss in losses)
+    return replace(episode, warnings=(*lost, *episode.warnings), losses=(*lost, *episode.losses))
+
+
+def _read_inside(inside: Path, path: Path, options: ReadOptions) -> Episode:
+    """What was unpacked, called by the name of what it was unpacked from."""
+    try:
+        return _read_foreign(inside, options)
+    except LogError as error:
+        raise LogError(str(error).replace(str(inside), str(path))) from error

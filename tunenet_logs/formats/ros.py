@@ -6,6 +6,7 @@ wrote.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from functools import cache, lru_cache
 from typing import Any
 
@@ -13,7 +14,6 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import (
     Stores,
     TypesysError,
-    get_types_from_idl,
     get_types_from_msg,
     get_typestore,
 )
@@ -21,6 +21,7 @@ from rosbags.typesys.store import Typestore
 
 from tunenet_logs import messages
 from tunenet_logs.formats.base import DAMAGED, Decode, MessageError, RawChannel, UnusableError
+from tunenet_logs.formats.ros_definitions import MOST_SCHEMA_BYTES, RosTypes, idl_types, types_of
 
 # Foxglove's types as ROS messages; they begin alike.
 _FRAME = "builtin_interfaces/Time timestamp\nstring frame_id\n"
@@ -32,7 +33,7 @@ _TRANSFORM = (
 _PARSERS = {
     "ros2msg": get_types_from_msg,
     "ros1msg": get_types_from_msg,
-    "ros2idl": get_types_from_idl,
+    "ros2idl": lambda text, _name: idl_types(text),
 }
 """Parsers of definitions, by schema encoding; they build field lists and run nothing."""
 
@@ -53,9 +54,6 @@ _FOREIGN = {
     },
 }
 """Types that no distribution of ROS defines: of Kinova's driver, ours, and Foxglove's."""
-
-_MOST_SCHEMA_BYTES = 256 * 1024
-"""Of the types that are used, with all that they are made of, none has a tenth of that."""
 
 _SAME_TYPE = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
 """Old names of types: ROS 1 moved this one to another package."""
@@ -91,7 +89,7 @@ def ros_decoder(channel: RawChannel) -> Decode:
                 f"schema encoding {channel.schema_encoding[:20]!r} is not read "
                 f"(only {', '.join(encodings)})"
             )
-        if len(channel.schema) > _MOST_SCHEMA_BYTES:
+        if len(channel.schema) > MOST_SCHEMA_BYTES:
             raise UnusableError("its schema is too large")
         is_same = _is_same(channel.schema, channel.schema_encoding, name, stores)
         if is_same is None:
@@ -121,6 +119,17 @@ def _is_same(schema: bytes, encoding: str, name: str, stores: Stores) -> bool | 
         inner in ours and list(ours[inner][1]) == list(parsed[1])
         for inner, parsed in theirs.items()
     )
+
+
+@cache
+def known_types(*, is_ros1: bool) -> RosTypes:
+    """What the types that are known here are made of."""
+    stores = Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE
+    found: RosTypes = {}
+    for name, fields in _typestore(stores).fielddefs.items():
+        with suppress(LookupError):  # one with wide texts, which are not read
+            found |= types_of({name: fields})
+    return found
 
 
 @cache

@@ -43,9 +43,12 @@ _COUNTED = {INDEX: 12, CHUNK_INFO: 8}
 
 
 def read_bag(
-    path: Path, losses: list[Loss], topics: Sequence[str] | None = None
+    path: Path,
+    losses: list[Loss],
+    topics: Sequence[str] | None = None,
+    budget: Budget | None = None,
 ) -> Iterator[Record]:
-    """The records of a ROS 1 bag, closed or not; see `Container`."""
+    """The records of a ROS 1 bag, closed or not; see `MessageFile`."""
     with open(path, "rb") as file:
         version = file.read(len(MAGIC) + len(_VERSION))[len(MAGIC) :]
         if version != _VERSION:
@@ -54,20 +57,25 @@ def read_bag(
                 f"{path}: is a ROS bag of version {shown!r}, only 2.0 is read; "
                 "rewrite it with `rosbag filter OLD.bag NEW.bag True`"
             )
-        yield from _BagReading(path, file, losses, topics).records()
+        yield from _BagReading(path, file, losses, topics, budget).records()
 
 
 class _BagReading:
     """One pass over a file."""
 
     def __init__(
-        self, path: Path, file: BinaryIO, losses: list[Loss], topics: Sequence[str] | None
+        self,
+        path: Path,
+        file: BinaryIO,
+        losses: list[Loss],
+        topics: Sequence[str] | None,
+        budget: Budget | None,
     ) -> None:
         self.path = path
         self.file = RecordFile(file)
         self.losses = losses
         self.topics = topics
-        self.budget = Budget(self.file.size)
+        self.budget = budget or Budget(self.file.size)
         self.channels: dict[int, RawChannel] = {}
         self.index: dict[int, RawChannel] | None = None
         self.index_at = 0

@@ -41,15 +41,19 @@ _MORE = {
 
 
 def read_db3(
-    path: Path, losses: list[Loss], topics: Sequence[str] | None = None
+    path: Path,
+    losses: list[Loss],
+    topics: Sequence[str] | None = None,
+    budget: Budget | None = None,
 ) -> Iterator[Record]:
-    """The records of a ROS 2 sqlite3 bag; see `Container`. Neither it nor its folder is changed."""
+    """The records of a ROS 2 sqlite3 bag; see `MessageFile`. It and its folder stay unchanged."""
     try:
         with opened(path, losses) as database:
             channels = _channels(database, losses)
             table = table_of(database, "messages", _MESSAGES)
             yield from channels.values()
-            reading = _Db3Reading(channels, losses, Budget(path.stat().st_size))
+            budget = budget or Budget(path.stat().st_size)
+            reading = _Db3Reading(channels, losses, budget)
             yield from reading.messages(database, table, topics)
     except (*DATABASE_ERRORS, NoTableError) as error:
         raise LogError(f"{path}: is no ROS 2 bag that can be read: {described(error)}") from error

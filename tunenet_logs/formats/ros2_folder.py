@@ -9,20 +9,25 @@ from pathlib import Path
 
 from tunenet_logs.errors import LogError
 from tunenet_logs.formats.base import Container, Loss, RawMetadata, Record
+from tunenet_logs.formats.compression import ZSTD_MAGIC
 from tunenet_logs.formats.database import MAGIC as DB3_MAGIC
+from tunenet_logs.formats.exports.arrays.lerobot import a_file_of, is_data_set
 from tunenet_logs.formats.mcap_container import MAGIC as MCAP_MAGIC
 from tunenet_logs.formats.mcap_container import read_mcap
+from tunenet_logs.formats.message_files import read_packed
 from tunenet_logs.formats.ros2_db3 import read_db3
 from tunenet_logs.messages import INFO_RECORD
 
 _READERS: dict[str, tuple[bytes, Container]] = {
     ".db3": (DB3_MAGIC, read_db3),
     ".mcap": (MCAP_MAGIC, read_mcap),
+    ".db3.zstd": (ZSTD_MAGIC, read_packed),
+    ".mcap.zstd": (ZSTD_MAGIC, read_packed),
 }
-"""By suffix: how such a file begins, and its reader."""
+"""By ending: how such a file begins, and its reader. rosbag2 can compress files as a whole."""
 
-_PACKED = (".db3.zstd", ".mcap.zstd")
-"""Endings of files that rosbag2 compresses as a whole."""
+_PACKED = ".zstd"
+"""What rosbag2 puts behind the name of a file that it compresses."""
 
 _INDEX = "metadata.yaml"
 """What rosbag2 writes beside the files when a recording ends."""
@@ -74,13 +79,14 @@ def _records(file: Path, losses: list[Loss], topics: Sequence[str] | None) -> It
     Raises:
         LogError: nothing of it can be read.
     """
-    magic, read = _READERS[file.suffix]
+    ending = _ending(file)
+    magic, read = _READERS[ending]
     with open(file, "rb") as stream:
         start = stream.read(len(magic))
     if not start:
         raise LogError(f"{file}: is empty")
     if start != magic:
-        raise LogError(f"{file}: is no {file.suffix} file")
+        raise LogError(f"{file}: is no {ending} file")
     yield from read(file, losses, topics)
 
 
@@ -104,30 +110,41 @@ def _files(folder: Path) -> list[Path]:
         LogError: there are none, or they are of several recordings.
     """
     found = [file for file in folder.iterdir() if file.is_file() and not file.name.startswith(".")]
-    packed = [file.name for file in found if file.name.endswith(_PACKED)]
-    if packed:
-        raise LogError(
-            f"{folder}: {min(packed)} is compressed as a whole; "
-            "unpack such files first with `zstd -d`"
-        )
-    files = [file for file in found if file.suffix in _READERS]
+    names = {file.name for file in found}
+    files = [
+        file
+        for file in found
+        if _ending(file)
+        and not (file.suffix == _PACKED and file.stem in names)  # `zstd -d` leaves both
+    ]
     if not files:
+        if is_data_set(folder):
+            raise LogError(f"{folder}: is a LeRobot data set; name {a_file_of(folder)}")
         raise LogError(
-            f"{folder}: is a directory without the files of a ROS 2 bag (.db3, .mcap); "
-            "name a log file"
+            f"{folder}: is a directory without the files of a ROS 2 bag (.db3, .mcap) or numbered "
+            "pictures; name a log file"
         )
     if len(files) == 1:
         return files
-    numbered = {file: match for file in files if (match := _NUMBERED.fullmatch(file.stem))}
-    names = {(file.suffix, match[1]) for file, match in numbered.items()}
+    numbered = {file: match for file in files if (match := _numbered(file))}
+    names = {(_ending(file), match[1]) for file, match in numbered.items()}
     if len(numbered) < len(files) or len(names) > 1:
         raise _several(folder, files)
     return sorted(files, key=lambda file: (int(numbered[file][2]), file.name))
 
 
+def _ending(file: Path) -> str:
+    """Which of those that are read; "" for another."""
+    return next((ending for ending in _READERS if file.name.endswith(ending)), "")
+
+
+def _numbered(file: Path) -> re.Match[str] | None:
+    return _NUMBERED.fullmatch(file.name.removesuffix(_ending(file)))
+
+
 def _missing_parts(files: Sequence[Path]) -> list[Loss]:
     """Numbers that are not there between those that are."""
-    numbers = [int(match[2]) for file in files if (match := _NUMBERED.fullmatch(file.stem))]
+    numbers = [int(match[2]) for file in files if (match := _numbered(file))]
     if len(numbers) < 2 or numbers[-1] - numbers[0] > _MOST_PARTS:
         return []
     present = set(numbers)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from datetime import datetime
-from fractions import Fraction
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,25 +14,32 @@ import numpy as np
 
 from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame
 from tunenet_logs.errors import LogError
+from tunenet_logs.formats.read_options import AS_IT_SAYS, ReadOptions
+from tunenet_logs.formats.video_clock import StoredTimes, VideoClock, clock_of
 from tunenet_logs.images import MAX_PIXELS
 
 if TYPE_CHECKING:
+    from av import VideoFrame
     from av.container import InputContainer
 
 VIDEO_TOPIC = "video"
 """What the pictures of a video file go by."""
 
-_CONTAINERS = "mov,matroska,avi,mpeg,mpegts,flv,ogg,asf,mjpeg,h264,hevc,m4v,gif,apng,ivf,nut,y4m"
+_CONTAINERS = "mov,matroska,avi,mpeg,mpegts,flv,ogg,asf,mjpeg,h264,hevc,m4v,gif,apng,ivf,nut,"
+_CONTAINERS += "yuv4mpegpipe,obu,av1"
 """Only what holds pictures itself: a playlist could name any other file or host."""
 
-_SLOW_MOTION_TAG = "com.android.capture.fps"
-"""What Android's cameras call the rate at which they filmed."""
+_BARE = frozenset({"h264", "hevc", "mjpeg", "m4v", "obu", "av1"})
+"""Streams that no container holds: FFmpeg makes times up for them."""
 
-_RATES_HZ = (1.0, 100_000.0)
-"""What a camera can film at; a tag beyond it is wrong."""
+_JPEG_START = b"\xff\xd8\xff"
+"""Of a stream of JPEGs, which FFmpeg takes for a single picture."""
 
-_SAME_RATE = 1.05
-"""A slow-motion tag below so many times the file's own rate says nothing new."""
+_MOST_PICTURES = 250_000
+"""Of a file: two hours at 30 a second, ten minutes at 400."""
+
+_MOSTLY = 0.9
+"""Of the pictures: where fewer have a time, they are counted at the rate that the file states."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,11 +50,9 @@ class Video:
         codec: as FFmpeg calls it ("h264", "mjpeg").
         size: (width, height) [px] of the upright picture.
         rotation_deg: counterclockwise turn that brings a stored picture upright; a multiple of 90.
-        stamps_ns: of all frames, int64, strictly increasing; from the file's creation tag on, else
-            from 0.
-        stored_hz: rate at which the file plays.
-        filmed_hz: rate at which it was filmed: as the user says, else as a slow-motion tag says,
-            else as it plays.
+        ticks: of the pictures that are shown, increasing, in the file's own units; None where they
+            do not tell which picture is which.
+        clock: when they were taken.
         warnings: what was repaired or is doubtful, in words.
     """
 
@@ -57,9 +60,8 @@ class Video:
     codec: str
     size: tuple[int, int]
     rotation_deg: int
-    stamps_ns: np.ndarray
-    stored_hz: float
-    filmed_hz: float
+    ticks: tuple[int, ...] | None
+    clock: VideoClock
     warnings: tuple[str, ...]
 
     def frames(self) -> Iterator[Frame]:
@@ -74,26 +76,50 @@ class Video:
             yield from self._stored_jpegs()
             return
         with _opened(self.path) as container:
-            stamps = iter(self.stamps_ns.tolist())
+            stamps = _Stamps(self)
             made_up = False
             for picture in container.decode(_video_stream(container, self.path)):
                 if picture.width * picture.height > MAX_PIXELS:
                     raise LogError(f"{self.path}: a picture claims {picture.width} px of width")
-                upright = _turned(picture.to_ndarray(format="rgb24"), self.rotation_deg)
-                stamp_ns = next(stamps, None)
+                stamp_ns = stamps.of(picture.pts)
                 if stamp_ns is None:
-                    return
+                    continue
                 made_up = picture.is_corrupt or (made_up and not picture.key_frame)
                 if made_up:  # the decoder fills a hole from the pictures before it
                     continue
+                upright = _turned(picture.to_ndarray(format="rgb24"), self.rotation_deg)
+                if self.codec == "gif":
+                    upright = _undithered(upright)
                 height, width = upright.shape[:2]
                 yield Frame(stamp_ns, "rgb8", upright.tobytes(), (width, height))
 
     def _stored_jpegs(self) -> Iterator[Frame]:
         with _opened(self.path) as container:
-            packets = filter(_is_shown, container.demux(_video_stream(container, self.path)))
-            for stamp_ns, packet in zip(self.stamps_ns.tolist(), packets, strict=False):
-                yield Frame(stamp_ns, "jpeg", bytes(packet))
+            stamps = _Stamps(self)
+            for packet in container.demux(_video_stream(container, self.path)):
+                if not _is_shown(packet):
+                    continue
+                stamp_ns = stamps.of(packet.pts)
+                if stamp_ns is not None:
+                    yield Frame(stamp_ns, "jpeg", bytes(packet))
+
+
+class _Stamps:
+    """Gives each picture its stamp: by its time in the file, else by its place in the order."""
+
+    def __init__(self, video: Video) -> None:
+        self._stamps: list[int] = video.clock.stamps_ns.tolist()
+        ticks = video.ticks or ()
+        each_once = len(set(ticks)) == len(ticks)
+        self._by_tick = dict(zip(ticks, self._stamps, strict=True)) if ticks and each_once else {}
+        self._next = 0
+
+    def of(self, tick: int | None) -> int | None:
+        """That of the next picture; None for one that is not shown."""
+        if self._by_tick:
+            return None if tick is None else self._by_tick.get(tick)
+        self._next += 1
+        return self._stamps[self._next - 1] if self._next <= len(self._stamps) else None
 
 
 def open_video(path: Path, filmed_hz: float | None = None) -> Video:
@@ -109,64 +135,87 @@ def open_video(path: Path, filmed_hz: float | None = None) -> Video:
     with _opened(path) as container:
         stream = _video_stream(container, path)
         tags = {**stream.metadata, **container.metadata}
-        ticks = sorted(packet.pts for packet in filter(_is_shown, container.demux(stream)))
+        shown = (packet.pts for packet in container.demux(stream) if _is_shown(packet))
+        packets = list(islice(shown, _MOST_PICTURES + 1))
         base, codec = stream.time_base, stream.codec_context.name
-    if not ticks or base is None:
-        raise LogError(f"{path}: holds no frame with a time; convert it to .mp4 first")
+        is_bare, is_avi = container.format.name in _BARE, container.format.name == "avi"
+        stated = stream.codec_context.framerate if is_bare else stream.average_rate
+    if len(packets) > _MOST_PICTURES:
+        raise LogError(f"{path}: holds over {_MOST_PICTURES} pictures; cut the drop out of it")
+    timed = [tick for tick in packets if tick is not None]
+    ticks = None if is_bare or len(timed) < _MOSTLY * len(packets) else sorted(timed)
+    if not packets or base is None:
+        raise LogError(f"{path}: holds no picture; convert it to .mp4 first")
     with _opened(path) as container:
-        first = next(container.decode(_video_stream(container, path)), None)
+        first = next(_whole(container.decode(_video_stream(container, path))), None)
         if first is None:
             raise LogError(f"{path}: no picture in it can be decoded; is the file whole?")
         rotation = 90 * round(first.rotation / 90)  # the file's display matrix, by a phone's pose
         size = (first.height, first.width) if rotation % 180 else (first.width, first.height)
     warnings: list[str] = []
-    fresh = sorted(set(ticks))
-    if len(fresh) < len(ticks):
-        warnings.append(f"{len(ticks) - len(fresh)} frames have a stamp of another")
-    stored_hz = _stored_rate(fresh, base)
-    tagged_hz = _tagged_rate(tags.get(_SLOW_MOTION_TAG, ""), stored_hz)
-    rate_hz = filmed_hz or tagged_hz or stored_hz
-    slow = Fraction(stored_hz / rate_hz) if stored_hz else Fraction(1)
-    start_ns = _creation_ns(tags.get("creation_time", ""))
-    origin = fresh[0]
-    stamps = [start_ns + round((tick - origin) * base * slow * 10**9) for tick in ticks]
-    if len(fresh) < len(ticks):  # keep one stamp a frame, in order
-        stamps = np.maximum.accumulate(np.array(stamps)) + np.arange(len(stamps))
+    if ticks is not None and first.pts is not None and not is_avi:  # it has no times but its order
+        begun = [tick for tick in ticks if tick >= first.pts]
+        if 0 < len(begun) < len(ticks):
+            warnings.append(
+                f"its first {len(ticks) - len(begun)} pictures need others that were cut off"
+            )
+            ticks = begun
+    times = StoredTimes(
+        ticks=ticks or None,
+        count=len(ticks or packets),
+        base_s=base,
+        rate_hz=float(stated) if stated else None,
+        tags=tags,
+    )
+    clock = clock_of(times, filmed_hz)
     return Video(
         path=path,
         codec=codec,
         size=size,
         rotation_deg=rotation,
-        stamps_ns=np.array(stamps, np.int64),
-        stored_hz=stored_hz,
-        filmed_hz=rate_hz,
-        warnings=tuple(warnings),
+        ticks=tuple(ticks) if ticks and not is_avi else None,
+        clock=clock,
+        warnings=(*warnings, *clock.warnings),
     )
 
 
-def read_video(path: Path) -> Episode:
+def read_video(path: Path, options: ReadOptions = AS_IT_SAYS) -> Episode:
     """A video file as an episode without signals.
+
+    Args:
+        path: of the file.
+        options: what its user says of it.
 
     Raises:
         LogError: see `open_video`.
     """
-    video = open_video(path)
+    video = open_video(path, options.rate_hz)
     channel = Channel(
         topic=VIDEO_TOPIC,
         type_name=video.codec,
         encoding="video",
-        log_ns=video.stamps_ns,
+        log_ns=video.clock.stamps_ns,
         pictures=True,
     )
     info = EpisodeInfo(source=f"video file {path.name}", notes=video_notes(video))
-    return Episode(info, {}, (channel,), video.warnings, open_frames=partial(_frames_of, video))
+    return Episode(
+        info,
+        {},
+        (channel,),
+        video.warnings,
+        open_frames=partial(_frames_of, video),
+        frames_untimed=not video.clock.is_timed,
+    )
 
 
 def video_notes(video: Video) -> dict[str, str]:
     """What a log should say of the video that it was made from."""
     width, height = video.size
     notes = {"codec": video.codec, "size_px": f"{width}x{height}"}
-    notes["rate_hz"] = f"stored {video.stored_hz:.3f}, filmed {video.filmed_hz:.3f}"
+    clock = video.clock
+    notes["rate_hz"] = f"stored {clock.stored_hz:.3f}, filmed {clock.filmed_hz:.3f}"
+    if not clock.is_timed:
+        notes["rate_hz"] = "unknown"
     if video.rotation_deg:
         notes["rotated_deg"] = str(video.rotation_deg)
     return notes
@@ -188,6 +237,13 @@ def _turned(pixels: np.ndarray, counterclockwise_deg: int) -> np.ndarray:
     return pixels if turn is None else cv2.rotate(pixels, turn)
 
 
+def _undithered(pixels: np.ndarray) -> np.ndarray:
+    """The mean colour around each pixel, which is what few colours that alternate stand for."""
+    import cv2
+
+    return cv2.GaussianBlur(pixels, (0, 0), 1.0)
+
+
 @contextmanager
 def _opened(path: Path) -> Iterator[InputContainer]:
     import av
@@ -197,8 +253,11 @@ def _opened(path: Path) -> Iterator[InputContainer]:
     logging.set_level(None)  # errors come as exceptions; its printing would only disturb
     options = {"format_whitelist": _CONTAINERS, "protocol_whitelist": "file,pipe"}
     try:
-        with open(path, "rb") as file, av.open(file, "r", options=options) as container:
-            yield container
+        with open(path, "rb") as file:
+            form = "mjpeg" if file.read(3) == _JPEG_START else None
+            file.seek(0)
+            with av.open(file, "r", format=form, options=options) as container:
+                yield container
     except (FFmpegError, ValueError, OverflowError, MemoryError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise LogError(f"{path}: is no video that can be read ({reason})") from error
@@ -212,7 +271,12 @@ def _is_shown(packet: Any) -> bool:
     A phone that cuts a film leaves out the pictures before the cut by the file's edit list, but
     keeps those that later ones are made from.
     """
-    return bool(packet.size) and packet.pts is not None and not packet.is_discard
+    return bool(packet.size) and not packet.is_discard
+
+
+def _whole(pictures: Iterable[VideoFrame]) -> Iterator[VideoFrame]:
+    """Those that are no decoder's guess."""
+    return (picture for picture in pictures if not picture.is_corrupt)
 
 
 def _video_stream(container: InputContainer, path: Path) -> Any:
@@ -233,32 +297,3 @@ def _video_stream(container: InputContainer, path: Path) -> Any:
     stream.codec_context.options = {"max_pixels": str(MAX_PIXELS)}
     stream.thread_type = "AUTO"
     return stream
-
-
-def _stored_rate(ticks: list[int], base: Fraction) -> float:
-    """Frames a second at which a file plays; 0 for a single frame."""
-    if len(ticks) < 2:
-        return 0.0
-    periods = np.diff(np.array(ticks, np.int64))
-    usual = periods[np.abs(periods - np.median(periods)) <= 0.2 * np.median(periods)]
-    return float(1 / (np.mean(usual) * float(base)))
-
-
-def _tagged_rate(text: str, stored_hz: float) -> float | None:
-    """The rate that a slow-motion tag states; None where there is none, or nothing to change."""
-    try:
-        rate = float(text)
-    except ValueError:
-        return None
-    low, high = _RATES_HZ
-    if not (math.isfinite(rate) and low <= rate <= high) or rate < stored_hz * _SAME_RATE:
-        return None
-    return rate
-
-
-def _creation_ns(text: str) -> int:
-    try:
-        stamp = datetime.fromisoformat(text)
-    except ValueError:
-        return 0
-    return max(0, round(stamp.timestamp()) * 10**9)

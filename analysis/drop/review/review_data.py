@@ -228,6 +228,8 @@ def _ball(detection: AnyDetection, last: Step) -> TunedBall | None:
     unknowns[[RESTITUTION, SLOPE, DRAG]] = restitution, slope, drag_1_m * height_m
     bounce = fit.samples.bounce(unknowns)
     impact_s = drop.release_s + drop.fall_time_s * bounce.fall_time
+    if bounce.flies_in:  # its release is where it is first seen
+        impact_s = drop.impact_s
     return TunedBall(bounce, float(impact_s), float(drop.fall_time_s))
 
 

@@ -20,6 +20,9 @@ _MOST_FLIGHTS = 400
 _SLOWEST = 1e-5
 """Speed [drop heights, sqrt(2 H / g)] below which the ball is at rest: it would rise 2.5e-11 H."""
 
+_STEEPEST = 1.5
+"""Angle of a rise beyond which the ball would have come from infinitely fast."""
+
 _NO_DRAG = 1e-7
 """Drag below which the ball flies on a parabola: logarithms over it lose half their digits."""
 
@@ -35,6 +38,8 @@ class Bounce:
         each: restitutions at the first impacts, where they follow no law.
         constant_below: fraction of the first impact's speed below which the restitution no longer
             changes with speed: a power law has no bound.
+        flies_in: whether the ball flies before the top of the fall, too: it was thrown, or bounced
+            before. Else it is held there.
     """
 
     restitution: float
@@ -42,6 +47,7 @@ class Bounce:
     drag: float = 0.0
     each: tuple[float, ...] = ()
     constant_below: float = 0.0
+    flies_in: bool = False
 
     def heights(self, places: Array) -> Array:
         """Heights u over contact.
@@ -50,18 +56,23 @@ class Bounce:
             places: times s [sqrt(2 H / g)] after the first impact, shape (T,).
 
         Returns:
-            Shape (T,) [drop heights]; 1 before the fall, 0 once the ball is at rest.
+            Shape (T,) [drop heights]; 1 before the fall of a ball that is held, 0 once it is at
+            rest.
         """
         starts, speeds = self.flights(float(places.max(initial=0.0)))
         flight = np.maximum(np.searchsorted(starts, places, side="right") - 1, 0)
         after = np.maximum(places - starts[flight], 0.0)
         speed = speeds[flight]
         if self.drag < _NO_DRAG:
-            fall = 1.0 - np.maximum(places + 1.0, 0.0) ** 2
+            since = places + 1.0
+            fall = 1.0 - (since if self.flies_in else np.maximum(since, 0.0)) ** 2
             return np.where(places < 0.0, fall, np.maximum(after * (speed - after), 0.0))
         rate, lasts = np.sqrt(2.0 * self.drag), self.fall_time
         since = np.clip(places + lasts, 0.0, lasts)
         fall = 1.0 - np.log(np.cosh(rate * since)) / self.drag
+        if self.flies_in:
+            to_top = np.clip(-rate * (places + lasts), 0.0, _STEEPEST)
+            fall = fall + np.log(np.cos(to_top)) / self.drag
         angle = np.arctan(speed * np.sqrt(self.drag / 2.0))
         to_apex = angle - rate * after
         up = np.log(np.cos(np.maximum(to_apex, 0.0)) / np.cos(angle)) / self.drag

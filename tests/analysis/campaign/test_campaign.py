@@ -14,7 +14,7 @@ from analysis.campaign.files import Material, material_of, natural
 from analysis.campaign.rates import ball_rates, overall_rates, restitutions_by_ball, wilson95
 from analysis.campaign.small_film import RATE_HZ, WIDTH_PX, small_film
 from analysis.campaign.tuned_drop import TunedDrop, read_tuned_drop
-from analysis.record import Curves
+from analysis.motion import Curves
 from tests.analysis.campaign import campaigns
 from tests.analysis.campaign.campaigns import MINUTE_NS, START_NS
 from tunenet_logs.errors import LogError, UsageError

@@ -11,7 +11,7 @@ from rerun.chunk import RrdReader
 
 from analysis.campaign.tuned_drop import TunedDrop
 from analysis.cli.review import main
-from analysis.record import Curves
+from analysis.motion import Curves
 from analysis.review.campaign.overlay import _Axes, _observed, _simulated
 from tests.analysis.campaign import campaigns
 from tests.analysis.campaign.campaigns import MINUTE_NS, START_NS

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.drop.detection import FilmDetection, drop_problem
+from analysis.drop.detection import FilmDetection
 from analysis.drop.film import canonical_film, find_filmed_drop
 from analysis.drop.film_presets import TRAININGS
 from analysis.drop.presets import TRAININGS as DROP_TRAININGS
+from analysis.drop.problem import drop_problem
 from analysis.estimators.tunenet import TuneNet
 from analysis.evaluation.video.tracks import B, BallRanges, draw_scene, film
 from analysis.tunenet.checkpoint import shipped_model

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from analysis.drop.checks import recording_checks
 from analysis.drop.free_fall import find_drops
 from tests.strangers import bounce_heights
 from tunenet_logs.errors import NotFoundError
@@ -103,3 +106,11 @@ def test_random_walks_never_break_it():
             find_drops(times, heights)
         except NotFoundError:
             continue
+
+
+def test_a_fit_that_ends_before_its_impact_is_checked_all_the_same():
+    times, heights = recording(0.7, 1.0, 120.0)
+    (drop,) = find_drops(times, heights)
+    late = replace(drop, impact_s=float(drop.seconds[-1]) + 0.1)
+    checks = recording_checks(late, np.zeros((len(drop.seconds), 2)))
+    assert not all(check.passed for check in checks)

@@ -11,7 +11,8 @@ import pytest
 
 from analysis.evaluation.real_balls.drops import record_drop
 from analysis.evaluation.real_balls.physics import RealBall
-from analysis.record import Motion, record_of
+from analysis.motion import Motion
+from analysis.record import record_of
 from analysis.record_json import read_record, to_json
 from analysis.selection import Options
 from analysis.tuning import tune_episode

@@ -10,9 +10,12 @@ from tunenet_logs.formats.tables.meaning import (
     LENGTHS,
     POWERS,
     CoordinateColumn,
+    FrameColumn,
+    ImpactNumberColumn,
     JointColumn,
     JointNameColumn,
     Meaning,
+    RunColumn,
     TimeColumn,
     UnusedColumn,
     Words,
@@ -35,6 +38,12 @@ _IN_NS = frozenset((("rosbag", "timestamp"), ("rosbagtimestamp",), ("field", "he
 
 UNKNOWN = UnusedColumn("its name says no time, position (x, y, z, height) or joint torque")
 """The meaning of every other name."""
+
+_LONGEST = 200
+"""Of a name that is looked at."""
+
+_MOST_WORDS = 40
+"""Of a name that is looked at."""
 
 # Coordinates.
 _PIXELS = frozenset(("px", "pix", "pixel", "pixels"))
@@ -66,12 +75,53 @@ _OTHERS = frozenset(
 )
 """Words that make an axis that of something else than a position."""
 
-PIXELS = UnusedColumn("it is in pixels, which tell no length; tune from the video itself")
-"""The meaning of a column in pixels."""
+_LINES = {"position": 2, "pos": 2, "distance": 3, "displacement": 3}
+"""What the one coordinate of a motion sensor is called, with a unit of length, and its rank."""
+
+_SPEEDS = frozenset(
+    (
+        *((length, second) for length in LENGTHS for second in ("s", "sec", "second")),
+        *((length, second) for length in LENGTHS for second in ("s2", "s²", "sec2", "s3", "s³")),
+        *((length, "s", power) for length in LENGTHS for power in ("1", "2", "²", "⁻¹", "⁻²")),
+        *((length, "per", second) for length in LENGTHS for second in ("s", "sec", "second")),
+        *((length, "s", "s") for length in LENGTHS),
+        *(("km", "h"), ("mph",), ("kmh",), ("ms", "1"), ("ms", "2"), ("ms⁻¹",), ("ms⁻²",)),
+    )
+)
+"""Units of speeds and accelerations along a line, at the end of a name."""
+
+SPEED = UnusedColumn("it is a speed or an acceleration along a line; positions are used")
+"""The meaning of a column in such a unit."""
+
+# Numbers of rows.
+_NUMBERS = frozenset(("number", "no", "nr", "num", "id", "index", "idx", "count"))
+"""Words beside what is numbered."""
+
+_RUNS = {
+    **dict.fromkeys(("run", "runs", "trial", "drop", "take", "episode", "throw", "rep"), "run"),
+    **dict.fromkeys(("repetition", "attempt", "experiment", "versuch"), "run"),
+    **{thing: thing for thing in ("track", "particle", "object", "body", "marker", "ball")},
+    "id": "object",
+}
+"""What runs are called, or the things of a table that holds them below each other."""
+
+_FRAMES = frozenset(("frame", "frames", "framenumber", "frameno", "frameindex", "frameid"))
+"""What pictures are called."""
+
+_IMPACTS = frozenset(("bounce", "bounces", "impact", "impacts", "hit", "hits"))
+"""What impacts are called."""
+
+_NO_THINGS = frozenset(
+    (
+        *("km", "dm", "yd", "mile", "miles", "deg", "rad", "g", "hz", "percent", "n", "v", "a"),
+        *("s", "ms", "field", "axis", "flag", "score", "value", "label", "count", "index"),
+    )
+)
+"""Words behind an axis that are no thing's name."""
 
 # Joints.
 _QUANTITY = re.compile(
-    r"(effort|torque|tau|position|pos|angle|theta|qdot|qd|dq|q|velocity|vel)s?(\d*)"
+    r"(effort|torque|tau|position|pos|angle|theta|qdot|qd|dq|q|velocity|vel|current)s?(\d*)"
 )
 """A quantity of a joint with the joint's number, perhaps: "effort3", "velocities", "q1"."""
 
@@ -79,8 +129,27 @@ _QUANTITIES = {
     **dict.fromkeys(("effort", "torque", "tau"), "effort"),
     **dict.fromkeys(("position", "pos", "angle", "theta", "q"), "position"),
     **dict.fromkeys(("velocity", "vel", "qdot", "qd", "dq"), "velocity"),
+    "current": "current",
 }
-"""What JointState calls them."""
+"""What JointState calls them, and the current of a joint's motor."""
+
+_ASKED = frozenset(
+    (
+        *("target", "desired", "command", "commanded", "cmd", "setpoint", "goal", "action"),
+        *("reference", "ref"),
+    )
+)
+"""Words of what a controller asked for."""
+
+_NO_JOINTS = frozenset(
+    (
+        *("deviation", "ratio", "error", "err", "limit", "limits", "percent", "percentage"),
+        *("std", "stddev", "var", "variance", "cov", "covariance", "noise", "scaling"),
+        *("temperature", "temp", "voltage", "max", "min", "mode", "status", "rpm", "hz", "lbf"),
+        *("volt", "volts", "counts", "ticks", "rev", "revs"),
+    )
+)
+"""Words that make a quantity of a joint another one."""
 
 _TURNS = ("position", "velocity")
 """Quantities that a unit of angles may stand for: people write deg for deg/s too."""
@@ -94,20 +163,44 @@ _UNITS: dict[Words, tuple[tuple[str, ...], float]] = {
     ("degrees",): (_TURNS, math.pi / 180),
     ("rad", "s"): (("velocity",), 1.0),
     ("deg", "s"): (("velocity",), math.pi / 180),
+    ("a",): (("current",), 1.0),
+    ("ma",): (("current",), 0.001),
 }
-"""Units at the end of a name: which quantities have them, and their size in rad, rad/s or N·m."""
+"""Units at the end of a name: which quantities have them, and their size in rad, rad/s, N·m, A."""
 
 
 def meaning_of(name: str) -> Meaning:
     """What a column's name means."""
+    if len(name) > _LONGEST:
+        return UNKNOWN
     for camel in (False, True):  # a joint called LeftKnee is to keep its name
         words = words_of(name, camel=camel)
-        if not words:
+        if not words or len(words) > _MOST_WORDS:
             break
-        found = _time(name, lowered(words)) or _coordinate_of(lowered(words)) or _joint_of(words)
+        lower = lowered(words)
+        found = _time(name, lower) or _number_of(lower) or _coordinate_of(lower) or _joint_of(words)
         if found is not None:
             return found
     return UNKNOWN
+
+
+def by_name(_index: int, name: str) -> Meaning:
+    """What a column means by its name alone."""
+    return meaning_of(name)
+
+
+def _number_of(lower: Words) -> FrameColumn | ImpactNumberColumn | RunColumn | None:
+    """What the words of a name say that a row's number counts; None if nothing."""
+    bare = lower[:-1] if len(lower) > 1 and lower[-1] in _NUMBERS else lower
+    if len(bare) == 2 and bare[0] in ("video", "movie", "image"):
+        bare = bare[1:]
+    if len(bare) != 1:
+        return None
+    if bare[0] in _RUNS:
+        return RunColumn(_RUNS[bare[0]])
+    if bare[0] in _IMPACTS:
+        return ImpactNumberColumn()
+    return FrameColumn() if bare[0] in _FRAMES else None
 
 
 def _time(name: str, lower: Words) -> TimeColumn | None:
@@ -135,23 +228,30 @@ def _coordinate_of(lower: Sequence[str]) -> CoordinateColumn | UnusedColumn | No
     Args:
         lower: the words in small letters.
     """
+    if any(lower[-n:] in _SPEEDS for n in (1, 2, 3) if len(lower) > n):
+        return SPEED
     unit, rest = "", lower
     if len(rest) > 1 and (rest[-1] in LENGTHS or rest[-1] in _PIXELS):
         unit, rest = rest[-1], rest[:-1]
-    if unit in _PIXELS:
-        return PIXELS
     number, rest = _numbered_thing(rest)
     if len(rest) > 1 and rest[-1] in ("pos", "position") and rest[-2] in _AXES:
         rest = rest[:-1]
-    is_height = rest[-1] in _HEIGHTS
-    axis = 2 if is_height else _AXES.get(rest[-1])
+    rank = 1 if rest[-1] in _HEIGHTS else 0
+    if unit in LENGTHS and len(rest) == 1 and not rank:
+        rank = _LINES.get(rest[0], 0)
+    axis = 2 if rank else _AXES.get(rest[-1])
+    is_doubtful = axis is None and len(rest) > 1 and rest[0] in _AXES
+    is_doubtful = is_doubtful and not _NO_THINGS.intersection(rest)
+    if is_doubtful:
+        axis, rest = _AXES[rest[0]], (*rest[1:], rest[0])
     if axis is None:
         return None
     if _OTHERS.intersection(rest[:-1]):
         return UnusedColumn("it is no position")
     thing = "_".join([*(word for word in rest[:-1] if word not in _PLACES), *number])
     thing = f"track{thing}" if not thing or thing.isdecimal() else thing
-    return CoordinateColumn(thing, axis, LENGTHS.get(unit, 1.0), is_height=is_height)
+    kind = "px" if unit in _PIXELS else "m" if unit else ""
+    return CoordinateColumn(thing, axis, LENGTHS.get(unit, 1.0), kind, rank, is_doubtful)
 
 
 def _numbered_thing(words: Sequence[str]) -> tuple[Sequence[str], Sequence[str]]:
@@ -168,7 +268,8 @@ def _joint_of(words: Words) -> JointColumn | JointNameColumn | UnusedColumn | No
     if found := re.fullmatch(r"field name(\d+)", " ".join(lower)):
         return JointNameColumn(found[1])
     count = next((n for n in (2, 1) if len(lower) > n and lower[-n:] in _UNITS), 0)
-    quantities, scale = _UNITS[lower[-count:]] if count else (("effort", *_TURNS), 1.0)
+    known = ("effort", *_TURNS, "current")
+    quantities, scale = _UNITS[lower[-count:]] if count else (known, 1.0)
     words = words[: len(words) - count]
     matches = [_QUANTITY.fullmatch(word) for word in lowered(words)]
     at = max((n for n, match in enumerate(matches) if match), default=None)
@@ -181,6 +282,8 @@ def _joint_of(words: Words) -> JointColumn | JointNameColumn | UnusedColumn | No
         return UnusedColumn(
             f"its unit is not one of a joint's {quantity}; a height is called height_m"
         )
+    if why := _no_joint(quantity, lowered((*words[:at], match[2], *words[at + 1 :]))):
+        return why
     group, joint = _apart((*words[:at], *words[at + 1 :]))
     digits = match[2] or "".join(word for word in joint[-1:] if word.isdecimal())
     named = [word for word in joint if word.lower() != "joint" and not word.isdecimal()]
@@ -188,6 +291,18 @@ def _joint_of(words: Words) -> JointColumn | JointNameColumn | UnusedColumn | No
         return JointColumn(group, f"joint{digits}", quantity, scale, number=digits)
     label = "_".join(joint) + match[2]
     return JointColumn(group, label or "joint1", quantity, scale, is_bare=not label)
+
+
+def _no_joint(quantity: str, others: Words) -> UnusedColumn | None:
+    """Why a quantity with these words beside it is none that was measured at a joint."""
+    if _ASKED.intersection(others):
+        return UnusedColumn("it is what was asked for, not what was measured")
+    if _NO_JOINTS.intersection(others):
+        return UnusedColumn(f"it is no {quantity} of a joint")
+    is_named = any("joint" in word or word.isdecimal() for word in others)
+    if quantity == "current" and not is_named:
+        return UnusedColumn("it is a current of no joint; name it joint1_current")
+    return None
 
 
 def _apart(words: Words) -> tuple[str, Words]:

@@ -2,23 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import chain, islice
 from math import isfinite
 from pathlib import Path
 
 from tunenet_logs.errors import LogError
 from tunenet_logs.formats.tables.layout import MOST_COLUMNS, TableLayout, table_layout_of
-from tunenet_logs.formats.tables.lines import MOST_LINE, SEPARATORS, cells_of, lines_of
+from tunenet_logs.formats.tables.lines import MOST_LINE, SEPARATORS, cells_of
 from tunenet_logs.formats.tables.numbers import Numbers
-from tunenet_logs.formats.tables.units import length_in, with_lengths, with_row
+from tunenet_logs.formats.tables.offers import offer_by_name, offer_by_number, short_list
+from tunenet_logs.formats.tables.row_numbers import numbered, said_layout
+from tunenet_logs.formats.tables.said import contradiction_of, is_name, places_of
+from tunenet_logs.formats.tables.units import length_in, unit_alone, with_lengths, with_row
 
 _MOST_BEFORE = 200
 """Lines of a preamble."""
 
+_MOST_NAMES = 20_000
+"""Of columns that are looked at in all lines of a preamble."""
+
 _EXAMPLE = "for example t,x,y,z or time_ms;height_mm or t,joint1_effort,joint1_position"
 """Headers that are understood, for error messages."""
+
+_FEW_COLUMNS = 3
+"""A table of so few may hold impact times."""
+
+_NAMELESS = "has no line that names its columns"
+"""What a table lacks that begins at once."""
 
 Lines = Iterator[tuple[int, str | None]]
 """Lines with their numbers from 1; None for one that is too long."""
@@ -36,29 +48,48 @@ class OpenTable:
     rows: Lines
 
 
-def open_table(path: Path) -> OpenTable:
+def open_table(
+    path: Path,
+    text: Iterable[str | None],
+    columns: Mapping[str, str] | None = None,
+    counts_rows: bool = False,
+) -> OpenTable:
     """A table, read up to its first row.
+
+    Args:
+        path: for messages.
+        text: its lines.
+        columns: what its user says that they are.
+        counts_rows: whether a row is a frame where the columns have no clock.
 
     Raises:
         LogError: it has no header that says when and what, or is too large.
         OSError: it cannot be read.
     """
-    lines: Lines = enumerate(lines_of(path), 1)
-    before = _Before()
+    said = columns or {}
+    if why := contradiction_of(said):
+        raise LogError(f"{path}: {why}")
+    lines: Lines = enumerate(text, 1)
+    before = _Before(said, counts_rows)
+    first: str | None = None
     for number, line in islice(lines, _MOST_BEFORE):
         try:
-            if line is not None and not line.startswith(("#", "%")) and _is_row(line):
-                lines = chain([(number, line)], lines)
+            if line is not None and not line.startswith(("#", "%")) and _is_row(line, said):
+                lines, first = chain([(number, line)], lines), line
                 break
             if before.takes(number, line):
                 break
         except ValueError as error:
             raise LogError(f"{path}: line {number}: {error}") from error
-    layouts = (before.header, before.commented)
-    layout = next((made for made in layouts if made is not None and made.groups), None)
+    try:
+        layout = before.layout(first)
+    except ValueError as error:
+        raise LogError(f"{path}: {error}") from error
     if layout is None:
-        raise LogError(f"{path}: {before.refusal()}")
-    return _with_units(path, OpenTable(layout, lines), before.length)
+        rest = (line for _, line in islice(lines, 1, None))
+        raise LogError(f"{path}: {before.refusal(first, rest)}")
+    table = _with_units(path, OpenTable(layout, lines), before.length)
+    return replace(table, rows=numbered(table.rows, layout)) if before.rows_are_frames else table
 
 
 class _Before:
@@ -68,13 +99,18 @@ class _Before:
         header: the names of the columns; without groups where no better one is found.
         commented: the same of a comment, as numpy.savetxt and rostopic write it.
         length: the unit of lengths; "" where none is said.
+        rows_are_frames: whether the last column of the layout is that of the rows' numbers.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, said: Mapping[str, str], counts_rows: bool) -> None:
         self.header: TableLayout | None = None
         self.commented: TableLayout | None = None
         self.length = ""
-        self._is_text = False
+        self.rows_are_frames = False
+        self._said = said
+        self._counts_rows = counts_rows
+        self._texts: list[str] = []
+        self._names_left = _MOST_NAMES
         self._too_large = ""
 
     def takes(self, number: int, line: str | None) -> bool:
@@ -86,8 +122,20 @@ class _Before:
         if line is None or any(len(cells) > MOST_COLUMNS for _, cells in _readings(line)):
             self._too_large = self._too_large or f"line {number} is {_size_of(line)}"
             return False
-        if line.startswith(("#", "%")):
-            self._comment(line.removeprefix("#").strip())
+        self._names_left -= max(len(cells) for _, cells in _readings(line))
+        if self._names_left < 0:
+            return False
+        is_comment = line.startswith(("#", "%"))
+        text = line.removeprefix("#").strip() if is_comment else line
+        if text.strip():
+            self._texts.append(text)
+        if self._said:
+            self.header = self._named(text)
+            if self.header is None:
+                self.length = length_in(text) or self.length
+            return self.header is not None
+        if is_comment:
+            self._comment(text)
         elif line.strip():
             layout = _layout(line)
             if layout is not None and layout.groups:
@@ -95,7 +143,6 @@ class _Before:
                 return True
             self.header = self.header or layout
             self.length = length_in(line) or self.length
-            self._is_text = True
         return False
 
     def _comment(self, text: str) -> None:
@@ -103,23 +150,102 @@ class _Before:
         self.commented = found or _layout(text) or self.commented
         self.length = length_in(text) or self.length
 
-    def refusal(self) -> str:
-        """Why there is no table below these lines."""
+    def _named(self, line: str) -> TableLayout | None:
+        """The layout of a line that holds the names that a user says."""
+        for separator, cells in _readings(line):
+            places, missing = places_of(self._said, cells)
+            if not missing and any(is_name(place, cells) for place in self._said.values()):
+                return self._said_layout(places, cells, separator)
+        return None
+
+    def _said_layout(
+        self, places: Mapping[int, str], names: Sequence[str], separator: str | None
+    ) -> TableLayout:
+        made, self.rows_are_frames = said_layout(places, names, separator, self._counts_rows)
+        return made
+
+    def layout(self, row: str | None) -> TableLayout | None:
+        """The columns of the table that begins with that row; None where they are not known.
+
+        Raises:
+            ValueError: they are none of those that a user says.
+        """
+        layouts = (self.header, self.commented)
+        found = next((made for made in layouts if made is not None and made.groups), None)
+        if found is not None or not self._said:
+            return found
+        if self.header is not None:
+            raise ValueError(_unusable(self.header))
+        separator, names = self._names(row)
+        if row is None or not names:
+            place = next(iter(self._said.values()))
+            raise ValueError(f"has no column {place[:60]!r} in its first {_MOST_BEFORE} lines")
+        known = names if any(names) else [f"column {at}" for at in range(1, len(names) + 1)]
+        places, missing = places_of(self._said, known)
+        if missing:
+            listed = short_list(known) or "none"
+            raise ValueError(f"has no column {missing[0][:60]!r}; its columns are {listed}")
+        return self._below_names(self._said_layout(places, known, separator))
+
+    def _below_names(self, layout: TableLayout) -> TableLayout:
+        """The layout with the units of a row between the names and the first row, if there is one.
+
+        Raises:
+            ValueError: a unit is none of what the column is said to be.
+        """
+        last = self._texts[-1] if self._texts else ""
+        return _named_by(layout, last) or layout
+
+    def _names(self, row: str | None) -> tuple[str | None, list[str]]:
+        """The separator of a row, and the last line before it of as many cells; or empty names."""
+        for separator, cells in _row_readings(row or ""):
+            for text in reversed(self._texts):
+                names = [cell.strip() for cell in cells_of(text, separator)]
+                while len(names) > len(cells) and not names[-1]:
+                    names.pop()
+                if len(names) == len(cells) and any(map(_is_name, names)):
+                    return separator, names
+            return separator, [""] * len(cells)
+        return None, []
+
+    def refusal(self, row: str | None, rest: Iterable[str | None]) -> str:
+        """Why there is no table below these lines.
+
+        Args:
+            row: the first one; None where there is none.
+            rest: those behind it.
+        """
         layout = self.header or self.commented
-        if layout is not None:
+        separator, names = self._names(row)
+        if layout is not None and (not any(names) or len(names) == layout.width):
             return _unusable(layout)
         if self._too_large:
             return f"{self._too_large}; leave out the columns that are not needed"
-        if self._is_text:
-            return f"no line names a column of times; put one on top, {_EXAMPLE}"
-        return f"has no line that names its columns; put one on top, {_EXAMPLE}"
+        if any(names):
+            return (
+                f"none of its columns is a time or counts frames ({short_list(names)}); "
+                f"{offer_by_name(names)}"
+            )
+        if row is not None and names:
+            return f"has no line that names its columns; {offer_by_number(row, rest, separator)}"
+        numbers = [text for text in self._texts if _is_number(text, None)]
+        if row is None and len(numbers) * 2 > len(self._texts):
+            return (
+                f"holds one column of numbers ({numbers[0][:20]} to {numbers[-1][:20]}); if they "
+                "are times of impacts [s], say so with --columns times=1"
+            )
+        what = "no line names a column of times" if self._texts else _NAMELESS
+        return f"{what}; put one on top, {_EXAMPLE}"
 
 
 def _unusable(layout: TableLayout) -> str:
     """Why there is nothing in a table's columns."""
-    reasons = [f"{name[:60]!r}: {why}" for name, why in layout.unused.items()]
+    reasons = [f"{name[:60]!r}: {why}" for name, why in layout.unused.items() if name.strip()]
     listed = "; ".join(reasons[:4]) or "it has times alone"
-    return f"holds no track and no torques that can be used ({listed})"
+    offer = f"; {offer_by_name(layout.header)}" if reasons or layout.width == 1 else ""
+    if len(layout.header) <= _FEW_COLUMNS:
+        offer += "; times of impacts are used as well: --columns times=..."
+    return f"holds no track and no torques that can be used ({listed}){offer}"
 
 
 def _size_of(line: str | None) -> str:
@@ -149,7 +275,7 @@ def _with_units(path: Path, table: OpenTable, length: str) -> OpenTable:
             rows = chain([(number, line)], rows)
             break
     if length:
-        layout = _again(layout, with_lengths(layout.header, length))
+        layout = _again(layout, with_lengths(layout.header, length, layout.reading))
     if not layout.groups:
         raise LogError(f"{path}: {_unusable(layout)}")
     return OpenTable(layout, rows)
@@ -157,12 +283,12 @@ def _with_units(path: Path, table: OpenTable, length: str) -> OpenTable:
 
 def _named_by(layout: TableLayout, line: str) -> TableLayout | None:
     """The layout with the units of a line; None where it is no row of units."""
-    header = with_row(layout.header, cells_of(line, layout.separator))
+    header = with_row(layout.header, cells_of(line, layout.separator), layout.reading)
     return _again(layout, header) if header else None
 
 
 def _again(layout: TableLayout, header: Sequence[str]) -> TableLayout:
-    return table_layout_of(header, layout.separator) or layout
+    return table_layout_of(header, layout.separator, layout.reading) or layout
 
 
 def _readings(line: str) -> Iterator[tuple[str | None, list[str]]]:
@@ -183,14 +309,31 @@ def _layout(line: str) -> TableLayout | None:
     return next((layout for layout in found if layout.groups), found[0] if found else None)
 
 
-def _is_row(line: str) -> bool:
-    """Whether a line begins with a number, and half of its cells are such."""
+def _is_row(line: str, said: Mapping[str, str]) -> bool:
+    """Whether a line begins with a number, and half of its cells are such.
+
+    Args:
+        line: of text.
+        said: what a user says of columns; a single one is a table by that alone.
+    """
+    return any(len(cells) > 1 or said for _, cells in _row_readings(line))
+
+
+def _row_readings(line: str) -> Iterator[tuple[str | None, list[str]]]:
+    """The cells of a row by each separator by which it is one."""
     for separator in SEPARATORS:
         cells = cells_of(line, separator)
-        numbers = [_is_number(cell, separator) for cell in cells]
-        if len(cells) > 1 and numbers[0] and sum(numbers) * 2 >= len(cells):
-            return True
-    return False
+        if not cells or not _is_number(cells[0], separator):
+            continue
+        seen = cells[:MOST_COLUMNS]
+        is_row = sum(_is_number(cell, separator) for cell in seen) * 2 >= len(seen)
+        if is_row and (len(cells) > 1 or separator is None):
+            yield separator, cells
+
+
+def _is_name(text: str) -> bool:
+    """Whether a cell names a column, not its unit alone."""
+    return bool(text) and unit_alone(text) is None
 
 
 def _is_number(cell: str, separator: str | None) -> bool:

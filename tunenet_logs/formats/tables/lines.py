@@ -17,7 +17,7 @@ SEPARATORS = ("\t", ";", ",", None)
 MOST_LINE = 1024**2
 """Characters; a row of 5000 columns of 20 digits is a tenth of that."""
 
-_MOST_BYTES = 1024**3
+_MOST_BYTES = 512 * 1024**2
 """Of a table: its cells are read one by one, in Python."""
 
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
@@ -46,7 +46,7 @@ def lines_of(path: Path) -> Iterator[str | None]:
     """
     size = path.stat().st_size
     if size > _MOST_BYTES:
-        raise LogError(f"{path}: is a table of {size} bytes, over the limit of 1 GiB; split it")
+        raise LogError(f"{path}: is a table of {size} bytes, over the limit of 512 MiB; split it")
     with open(path, "rb") as file:
         encoding = "utf-16" if file.read(2) in _UTF16 else "utf-8-sig"
     with open(path, encoding=encoding, errors="replace") as file:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 
 Words = tuple[str, ...]
@@ -12,14 +13,18 @@ LENGTHS = {
     **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), 1.0),
     **dict.fromkeys(("cm", "centimeter", "centimeters", "centimetre", "centimetres"), 0.01),
     **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "millimetres"), 0.001),
+    **dict.fromkeys(("um", "micrometer", "micrometers", "micrometre", "micrometres"), 1e-6),
+    **dict.fromkeys(("in", "inch", "inches"), 0.0254),
+    **dict.fromkeys(("ft", "foot", "feet"), 0.3048),
 }
 """Units of lengths [m]."""
 
 POWERS = {
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 0),
-    **dict.fromkeys(("ms", "msec", "msecs", "millis", "milliseconds"), -3),
-    **dict.fromkeys(("us", "usec", "usecs", "micros", "microseconds"), -6),
-    **dict.fromkeys(("ns", "nsec", "nsecs", "nanosec", "nanosecs", "nanos", "nanoseconds"), -9),
+    **dict.fromkeys(("ms", "msec", "msecs", "milis", "millis", "millisecond", "milliseconds"), -3),
+    **dict.fromkeys(("us", "usec", "usecs", "micros", "microsecond", "microseconds"), -6),
+    **dict.fromkeys(("ns", "nsec", "nsecs", "nanosec", "nanosecs", "nanos"), -9),
+    **dict.fromkeys(("nanosecond", "nanoseconds"), -9),
 }
 """Units of times, as powers of ten of a second."""
 
@@ -43,26 +48,31 @@ class TimeColumn:
 
 @dataclass(frozen=True)
 class CoordinateColumn:
-    """The coordinate of a thing along an axis (0 to 2), in units of `scale` m.
+    """The coordinate of a thing along an axis (0 to 2), in units of `scale` `unit`s.
 
     Attributes:
-        is_height: whether it is called a height, not an axis.
+        unit: "m", "px", or "" where the name says none.
+        rank: what it is called: 0 an axis, 1 a height, 2 a bare position, 3 a bare distance; of
+            several for one axis the first is used.
+        is_doubtful: whether it is one only where the thing has another, as in "x-ball", "y-ball".
     """
 
     thing: str
     axis: int
     scale: float
-    is_height: bool = False
+    unit: str
+    rank: int = 0
+    is_doubtful: bool = False
 
 
 @dataclass(frozen=True)
 class JointColumn:
-    """One quantity of one joint, in units of `scale` rad, rad/s or N·m.
+    """One quantity of one joint, in units of `scale` rad, rad/s, N·m or A.
 
     Attributes:
         group: the robot, or "joints".
         label: the joint.
-        quantity: "effort", "position" or "velocity".
+        quantity: "effort", "position", "velocity" or "current".
         number: the digits in the name where it says no more of the joint.
         is_bare: whether it says nothing of the joint.
     """
@@ -73,6 +83,40 @@ class JointColumn:
     scale: float
     number: str = ""
     is_bare: bool = False
+
+
+@dataclass(frozen=True)
+class FrameColumn:
+    """The number of a picture: a time where its rate is known."""
+
+
+@dataclass(frozen=True)
+class ImpactColumn:
+    """The time of an impact in each row.
+
+    Attributes:
+        power: see `TimeColumn`.
+        counts_frames: whether it numbers frames.
+    """
+
+    power: int | None
+    counts_frames: bool = False
+
+
+@dataclass(frozen=True)
+class ImpactNumberColumn:
+    """The number of an impact: the times beside it are those of impacts."""
+
+
+@dataclass(frozen=True)
+class RunColumn:
+    """The number or name of the run, or of the thing, that a row belongs to.
+
+    Attributes:
+        kind: what it counts: "run", "object", ...
+    """
+
+    kind: str
 
 
 @dataclass(frozen=True)
@@ -89,13 +133,29 @@ class UnusedColumn:
     reason: str
 
 
-Meaning = TimeColumn | CoordinateColumn | JointColumn | JointNameColumn | UnusedColumn
+Meaning = (
+    TimeColumn
+    | CoordinateColumn
+    | JointColumn
+    | FrameColumn
+    | ImpactColumn
+    | ImpactNumberColumn
+    | RunColumn
+    | JointNameColumn
+    | UnusedColumn
+)
 """What a column can mean."""
+
+Reading = Callable[[int, str], Meaning]
+"""What the column at an index, of that name, means."""
 
 
 def words_of(name: str, *, camel: bool) -> Words:
     """The words of a name: what stands between underscores, slashes, dots, brackets, spaces."""
     name = name.replace("°", "deg").replace("µ", "u").replace("μ", "u")
+    name = name[:1] + name[1:].replace(
+        "%", " percent "
+    )  # it begins the names of `rostopic echo -p`
     if camel:
         name = re.sub(r"([a-z0-9])([A-Z])", r"\1_\2", name)
     return tuple(word for word in re.split(r"[\W_]+", name) if word)

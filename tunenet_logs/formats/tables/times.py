@@ -42,12 +42,14 @@ class Clock:
         indices: of the columns: one, or one of seconds and one of nanoseconds.
         power: the unit as a power of ten of a second; None to go by magnitude.
         scope: the words before it in its name: what it is the time of.
+        counts_frames: whether it numbers frames, read as so many seconds.
     """
 
     name: str
     indices: tuple[int, ...]
     power: int | None
     scope: tuple[str, ...] = ()
+    counts_frames: bool = False
 
     def read(self, texts: Sequence[str], power: int) -> int:
         """The time that its columns say in a row [ns].

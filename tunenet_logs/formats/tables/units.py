@@ -3,27 +3,29 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
-from tunenet_logs.formats.tables.column_names import UNKNOWN, meaning_of
+from tunenet_logs.formats.tables.column_names import UNKNOWN, by_name
 from tunenet_logs.formats.tables.meaning import (
     LENGTHS,
     POWERS,
     CoordinateColumn,
     JointColumn,
     Meaning,
+    Reading,
     TimeColumn,
     lowered,
     words_of,
 )
+from tunenet_logs.formats.tables.run_names import runs_of
 
 _WORDS = frozenset(
     (
         *LENGTHS,
         *POWERS,
         *("rad", "radian", "radians", "deg", "degree", "degrees", "n", "nm", "mnm", "kn"),
-        *("px", "pix", "pixel", "pixels", "um", "km", "dm"),
-        *("ft", "feet", "foot", "in", "inch", "inches", "yd"),
+        *("px", "pix", "pixel", "pixels", "um", "km", "dm", "ma"),
+        "yd",
         *("min", "mins", "minute", "minutes", "h", "hr", "hour", "hours", "day", "days"),
     )
 )
@@ -35,27 +37,40 @@ _NONE = frozenset(("", "-", "1"))
 _SAID = re.compile(r"\b(length[ _])?units?\b\W{1,5}(\w+)", re.IGNORECASE)
 """A preamble's "Length Units,Millimeters" or "units: mm"."""
 
-_REMEDY = "convert it to m, cm or mm (times: s, ms, us or ns)"
+_REMEDY = "convert it to m, cm, mm, in or ft (times: s, ms, us or ns)"
 """What to do about a unit that is not read."""
 
 
-def with_row(header: Sequence[str], cells: Sequence[str]) -> list[str] | None:
+def with_row(
+    header: Sequence[str], cells: Sequence[str], reading: Reading = by_name
+) -> list[str] | None:
     """The names of a header with the units of a row below it; None where it is no row of units.
+
+    Args:
+        header: the names.
+        cells: the row's.
+        reading: what a column of a name means.
 
     Raises:
         ValueError: a unit is not known, or is not the one in the name.
     """
     if any(map(str.strip, cells[len(header) :])):
         return None
+    names = [name for _, name in runs_of(header)]
     said = {
         at: unit
-        for at, (name, cell) in enumerate(zip(header, cells, strict=False))
-        if (unit := cell.strip(" \t()[]")) not in _NONE and _size(meaning_of(name)) is not None
+        for at, (name, cell) in enumerate(zip(names, cells, strict=False))
+        if (unit := cell.strip(" \t()[]")) not in _NONE and _size(reading(at, name)) is not None
     }
     texts = said.values()
     if any(map(str.isdecimal, "".join(texts))) or not any(map(_is_unit, texts)):
         return None
-    return [_named(name, said[at]) if at in said else name for at, name in enumerate(header)]
+    return [
+        _named(name, names[at], said[at], lambda text, at=at: reading(at, text))
+        if at in said
+        else name
+        for at, name in enumerate(header)
+    ]
 
 
 def length_in(line: str) -> str:
@@ -72,14 +87,29 @@ def length_in(line: str) -> str:
     return ""
 
 
-def with_lengths(header: Sequence[str], unit: str) -> list[str]:
+def with_lengths(header: Sequence[str], unit: str, reading: Reading = by_name) -> list[str]:
     """The names of a header, with a unit where they are places and say none."""
     return [
         f"{name} ({unit})"
-        if isinstance(meaning_of(name), CoordinateColumn) and _without_unit(name) is None
+        if isinstance(reading(at, rest), CoordinateColumn) and _without_unit(rest) is None
         else name
-        for name in header
+        for at, (name, (_, rest)) in enumerate(zip(header, runs_of(header), strict=True))
     ]
+
+
+def unit_behind(name: str) -> str:
+    """The unit at the end of a name, in brackets or as a last word; "" where there is none."""
+    found = re.search(r"[(\[]([^()\[\]]{1,40})[)\]]\s*$", name)
+    words = lowered(words_of(found[1] if found else name, camel=False))
+    if found:
+        return found[1] if _WORDS.intersection(words) or words in (("a",), ("ma",)) else ""
+    return words[-1] if len(words) > 1 and words[-1] in _WORDS else ""
+
+
+def unit_alone(text: str) -> str | None:
+    """The unit that a cell is, in brackets or not; None where it is something else."""
+    stripped = text.strip(" \t()[]")
+    return stripped if stripped in _NONE or _is_unit(stripped) else None
 
 
 def _is_unit(text: str) -> bool:
@@ -96,15 +126,15 @@ def _without_unit(name: str) -> str | None:
     return (" ".join(rest) or "time") if len(rest) < len(words) else None
 
 
-def _named(name: str, unit: str) -> str:
-    """A column's name with its unit."""
-    rest = _without_unit(name)
-    meaning = meaning_of(f"{rest or name} ({unit})")
+def _named(name: str, plain: str, unit: str, reading: Callable[[str], Meaning]) -> str:
+    """A column's name with its unit; `plain` is it without its run."""
+    rest = _without_unit(plain)
+    meaning = reading(f"{rest or plain} ({unit})")
     if meaning == UNKNOWN:
         raise ValueError(f"{name[:60]!r} is in {unit[:40]!r}, which is not read; {_REMEDY}")
     if rest is None:
         return f"{name} ({unit})"
-    if _size(meaning) != _size(meaning_of(name)):
+    if _size(meaning) != _size(reading(plain)):
         raise ValueError(f"{name[:60]!r} is said to be in {unit[:40]!r}; say one unit")
     return name
 

@@ -1,0 +1,127 @@
+"""A drop by its impact times alone: restitution from how much shorter each flight is."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from analysis.checks import Check, CrossCheck
+from analysis.drop.times.checks import ratio_cross_check, times_checks
+from analysis.drop.times.detection import (
+    FEWEST_IMPACTS,
+    TimesDetection,
+    no_times,
+    signals_in,
+    times_problem,
+)
+from analysis.drop.times.fit import Rig
+from analysis.drop.times.motion import heard_motion, heard_rebounds
+from analysis.drop.times.posterior import MOST_TIMES
+from analysis.estimators.base import FitResult, Step
+from analysis.experiment import Claim, Preset
+from analysis.selection import Selection, check_start
+from recorders.simulators.balls import completed, recorded_ball
+from recorders.simulators.drop import REAL_BALL
+from tunenet_logs.arrays import Array
+from tunenet_logs.episode import Episode
+from tunenet_logs.errors import NotFoundError
+
+if TYPE_CHECKING:
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+    from analysis.record import Tuning
+
+_HIGHEST_M = 100.0
+"""Of a drop that somebody measured."""
+
+
+class DropFromTimes:
+    """See `Experiment`."""
+
+    name = "drop-times"
+    kind = "drop"
+    occasion = "drop"
+    presets: ClassVar[dict[str, Preset]] = {"default": Preset(True, REAL_BALL, "fit")}
+    problem = staticmethod(times_problem)
+    motion = staticmethod(heard_motion)
+    rebounds = staticmethod(heard_rebounds)
+
+    def claim(self, episode: Episode, topic: str | None) -> Claim:
+        """By impact times, where no positions and no pictures show more."""
+        if not signals_in(episode, topic):
+            return Claim.NONE
+        if topic is not None:
+            return Claim.PLAINLY
+        more = any(signal.is_position for signal in episode.signals.values())
+        return Claim.PERHAPS if more or episode.picture_topics else Claim.PLAINLY
+
+    def detect(self, episode: Episode, selection: Selection, preset: str) -> TimesDetection:  # noqa: ARG002 (there is one)
+        """The signal with the most times; see `Experiment.detect`."""
+        names = signals_in(episode, selection.topic)
+        if not names:
+            raise no_times(episode, selection.topic)
+        signal = episode.signals[names[0]]
+        warnings: list[str] = []
+        if len(names) > 1:
+            others = ", ".join(names[1:4])
+            warnings.append(f"{names[0]} is used, not {others} (see --topic)")
+        unused = [
+            f"{', '.join(given)} not used: the log holds impact times alone"
+            for given in (selection.film_options, selection.arm_options)
+            if given
+        ]
+        if not len(signal.stamps_ns):
+            raise NotFoundError(f"{signal.name}: holds no impact times")
+        check_start(selection.start_s, float(signal.seconds[-1]))
+        begin_s = -np.inf if selection.start_s is None else selection.start_s
+        end_s = np.inf if selection.end_s is None else selection.end_s
+        times_s = signal.seconds[(signal.seconds >= begin_s) & (signal.seconds <= end_s)]
+        if len(times_s) < FEWEST_IMPACTS:
+            raise NotFoundError(
+                f"{signal.name}: {len(times_s)} impact times; a restitution takes {FEWEST_IMPACTS} "
+                "or more, for two whole flights"
+            )
+        if len(times_s) > MOST_TIMES:
+            warnings.append(
+                f"the first {MOST_TIMES} of {len(times_s)} times are used (see --start)"
+            )
+        height_m = selection.height_m
+        if signal.counts_frames:
+            warnings.append(
+                "the clock's rate is not known: the restitution stands without it, speeds do not "
+                "(see --fps)"
+            )
+            if height_m is not None:
+                warnings.append("--height not used: without a true clock it tells nothing")
+            height_m = None
+        if height_m is not None and not 0 < height_m <= _HIGHEST_M:
+            raise NotFoundError(f"--height {height_m:g} m is no height of a drop; give it in m")
+        ball = completed(selection.ball, recorded_ball(episode.info))
+        return TimesDetection(
+            topic=signal.name,
+            start_ns=int(signal.stamps_ns[0]),
+            times_s=times_s[:MOST_TIMES],
+            rig=Rig(ball.drag_1_m, height_m, not signal.counts_frames),
+            ball=ball,
+            warnings=(*warnings, *unused),
+        )
+
+    def checks(
+        self, detection: TimesDetection, last: Step, fit: FitResult | None
+    ) -> tuple[Check, ...]:
+        """See `Experiment.checks`."""
+        return times_checks(detection, last, fit)
+
+    def cross_check(self, detection: TimesDetection, estimate: Array) -> CrossCheck | None:
+        """See `ratio_cross_check`."""
+        return ratio_cross_check(detection.heard, float(estimate[0]))
+
+    def review(self, stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container | None:
+        """See `Experiment.review`."""
+        if tuning.detection is None or tuning.trace is None:
+            return None
+        from analysis.drop.review.times import log_times
+
+        return log_times(stream, tuning)

@@ -1,0 +1,143 @@
+"""Gravity in a recording, whatever its units: the acceleration that free flights share.
+
+A body that nothing touches moves on a parabola, and all parabolas of one recording have the same
+acceleration. So the acceleration that most windows share is gravity in the recording's own units of
+length and time, and its direction says what is down. A hand, a rest or a slope shares it with
+nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from analysis.statistics import noise_of
+from tunenet_logs.arrays import Array
+
+_WINDOWS = (7, 11, 17, 27, 43, 69, 109)
+"""Samples in which an acceleration is looked for: a tenth of a second at 60 Hz, and at 1 kHz."""
+
+_MOST_SHARED = 1500
+"""Windows that are compared, each with each."""
+
+_ALIKE = 0.1
+"""Fraction by which the air, and noise, move an acceleration of free flight."""
+
+_SURE_SDS = 8.0
+"""Standard errors that an acceleration is away from none."""
+
+_SMOOTH_SDS, _SMOOTH = 3.0, 2e-3
+"""Residual of a window's parabola, in standard deviations of the noise and in its own size."""
+
+_STILL = 1e-3
+"""Of the noisiest axis: one with less noise is made up."""
+
+_FEWEST_FREE, _FEWEST_EXPECTED = 20, 6
+"""Windows that share an acceleration, and the same of one that was expected."""
+
+_EXPECTED = 0.2
+"""Fraction that an acceleration may be off the expected one."""
+
+_SNAP = np.cos(np.radians(3.0))
+"""An axis of the recording that is so near to the vertical is the vertical."""
+
+
+@dataclass(frozen=True, eq=False)
+class Gravity:
+    """The acceleration that the free flights of a recording share.
+
+    Attributes:
+        size: in the recording's units.
+        up: unit vector against it, shape (3,).
+        noise: standard deviation of a position, by the flights' own residuals.
+    """
+
+    size: float
+    up: Array
+    noise: float
+
+    @property
+    def tilt_deg(self) -> float:
+        """Between what is up and the nearest axis [degrees]."""
+        return float(np.degrees(np.arccos(np.clip(np.abs(self.up).max(), 0.0, 1.0))))
+
+    @property
+    def up_name(self) -> str:
+        """What is up, in words: "+y"."""
+        axis = int(np.abs(self.up).argmax())
+        return ("+" if self.up[axis] > 0 else "-") + "xyz"[axis]
+
+
+def gravity_in(seconds: Array, positions: Array, expected: float | None = None) -> Gravity | None:
+    """The acceleration that free flights share; None where there are none.
+
+    Args:
+        seconds: on any clock, shape (T,), increasing.
+        positions: in any unit, shape (T, 3), finite.
+        expected: where the units are known: only what is near it counts.
+    """
+    noises = np.array([noise_of(axis) if len(axis) > 4 else 0.0 for axis in positions.T])
+    sure = _SURE_SDS if expected is None else _SURE_SDS / 2
+    found = [_accelerations(seconds, positions, noises, width, sure) for width in _WINDOWS]
+    vectors, offs, weights = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    if expected is not None:
+        near = np.abs(np.linalg.norm(vectors, axis=1) / expected - 1) < _EXPECTED
+        vectors, offs, weights = vectors[near], offs[near], weights[near]
+    if len(vectors) > _MOST_SHARED:
+        best = np.argsort(weights, kind="stable")[-_MOST_SHARED:]
+        vectors, offs, weights = vectors[best], offs[best], weights[best]
+    if not len(vectors):
+        return None
+    sizes = np.linalg.norm(vectors, axis=1)
+    apart = np.linalg.norm(vectors[:, None] - vectors, axis=2)
+    alike = apart < _ALIKE * np.minimum(sizes[:, None], sizes)
+    most = int((alike @ weights).argmax())
+    members = alike[most]
+    if weights[members].sum() < (_FEWEST_FREE if expected is None else _FEWEST_EXPECTED):
+        return None
+    mean = np.average(vectors[members], axis=0, weights=weights[members])
+    up = -mean / np.linalg.norm(mean)
+    axis = int(np.abs(up).argmax())
+    if abs(up[axis]) > _SNAP:
+        up = np.sign(up[axis]) * np.eye(3)[axis]
+    moving = np.count_nonzero(noises > _STILL * noises.max())
+    noise = float(np.median(offs[members]) / np.sqrt(max(moving, 1)))
+    return Gravity(float(-mean @ up), up, noise)
+
+
+def _accelerations(
+    seconds: Array, positions: Array, noises: Array, width: int, sure: float
+) -> tuple[Array, Array, Array]:
+    """Of the windows of a width that are parabolas: accelerations, residuals, weights, (W, ...)."""
+    none = np.empty((0, 3)), np.empty(0), np.empty(0)
+    if len(seconds) < width:
+        return none
+    every = max(1, width // 6, len(seconds) // 20_000)
+    begins = np.arange(0, len(seconds) - width + 1, every)
+    rows = begins[:, None] + np.arange(width)
+    clock = seconds[rows]
+    usual = float(np.median(np.diff(seconds)))
+    lasts = np.ptp(clock, axis=1)
+    whole = lasts < 2.0 * usual * width
+    clock, rows, lasts = clock[whole], rows[whole], lasts[whole]
+    if not len(clock):
+        return none
+    clock = 2 * (clock - clock.mean(axis=1, keepdims=True)) / lasts[:, None]
+    design = np.stack([np.ones_like(clock), clock, clock**2], axis=2)
+    values = positions[rows]
+    normal = np.einsum("wti,wtj->wij", design, design)
+    solution = np.linalg.solve(normal, np.einsum("wti,wtk->wik", design, values))
+    off = values - np.einsum("wti,wik->wtk", design, solution)
+    rms = np.sqrt(np.mean(off**2, axis=1) * width / (width - 3))
+    curve = solution[:, 2]
+    size = np.linalg.norm(curve, axis=1)
+    noise = float(np.linalg.norm(noises))
+    error = np.sqrt(np.linalg.inv(normal)[:, 2, 2]) * np.maximum(
+        np.linalg.norm(rms, axis=1), 0.5 * noise
+    )
+    off = np.linalg.norm(rms, axis=1)
+    kept = (size > sure * error) & (off < _SMOOTH_SDS * noise + _SMOOTH * size)
+    vectors = 8 * curve / lasts[:, None] ** 2
+    weights = np.full(len(clock), float(every))
+    return vectors[kept], off[kept], weights[kept]

@@ -1,0 +1,1 @@
+"""A drop by its impact times alone."""

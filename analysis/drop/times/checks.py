@@ -1,0 +1,171 @@
+"""Checks of a drop that was heard, and the second estimate beside it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from analysis.checks import Check, CrossCheck, figures
+from analysis.drop.checks import sure_check
+from analysis.drop.detection import DISAGREEMENT
+from analysis.drop.times.detection import TimesDetection
+from analysis.drop.times.posterior import HeardBall
+from analysis.estimators.base import FitResult, Step
+from tunenet_logs.arrays import Array
+
+_MOST_WRONG = 0.4
+"""Share of impacts that were missed and of times that are none."""
+
+_SURE_ODDS = float(np.log(100.0))
+"""Logarithm of the odds against noises at random times."""
+
+_MOST_JITTER_S, _MOST_JITTER = 0.006, 0.03
+"""Standard deviation of a time [s], and in mean flights: a hand's clapping has more."""
+
+_NO_RHYTHM = float(np.log(20.0))
+"""Logarithm of the odds against every rhythm that is no ball's."""
+
+_MOST_RESTITUTION = 0.95
+"""Of any ball that is heard; a beat that hardly quickens has more."""
+
+_LEAST_SLOPE = -0.01
+"""Of the slope in the middle of its interval: no ball bounces better the faster it is, but flights
+that shorten by one time each look so."""
+
+_ENOUGH = 5
+"""Impacts from which on other rhythms than a ball's can be told from it."""
+
+_FITS, _LEAST_FIT_S = 2.0, 0.0005
+"""Rms between rollout and times: so many jitters and so much more."""
+
+_MOST_HEIGHT_SDS = 3.5
+"""By which the height may contradict the times."""
+
+_AGREEMENT, _UNSURE = 0.02, 0.1
+"""Of plain ratios with the fit; and half width of an interval from which on nothing is known."""
+
+
+def times_checks(detection: TimesDetection, last: Step, fit: FitResult | None) -> tuple[Check, ...]:
+    """What the times themselves tell, and whether the tuned simulator keeps them."""
+    heard = detection.heard
+    count, wrong = len(heard.times_s), heard.reading.missed + heard.reading.false
+    share = wrong / (count + wrong)
+    of_wrong, most = figures(100 * share, 100 * _MOST_WRONG, 0)
+    jitter, most_jitter = figures(1000 * heard.jitter_s, 1000 * _most_jitter_s(heard), 1)
+    odds = float(np.exp(min(heard.log_odds, 20.0)))
+    checks = [
+        Check(
+            "enough impacts",
+            count >= _ENOUGH,
+            f"{count} impacts heard (wanted: {_ENOUGH} or more)",
+            advice="let it bounce longer",
+        ),
+        Check(
+            "times are the ball's",
+            share <= _MOST_WRONG and heard.log_odds > _SURE_ODDS,
+            f"{heard.reading.missed} impacts missed, {heard.reading.false} noises between "
+            f"{count} impacts: {of_wrong} % wrong (at most {most}); {odds:.3g} to 1 against noises "
+            f"at random times (wanted: {np.exp(_SURE_ODDS):.0f} to 1)",
+            advice="record five bounces or more in a quiet room",
+            doubts_model=share > _MOST_WRONG,
+            fatal=share > _MOST_WRONG,
+        ),
+        Check(
+            "times are sharp",
+            heard.jitter_s < _most_jitter_s(heard),
+            f"they scatter by {jitter} ms about a ball's (at most {most_jitter})",
+            advice="put the microphone near the impact, and set its threshold low",
+        ),
+    ]
+    checks += _no_rhythm(heard)
+    slope = float(heard.interval95[1].mean())
+    checks.append(
+        Check(
+            "slows as balls do",
+            slope > _LEAST_SLOPE,
+            f"its restitution falls with speed by a power of {slope:.3f} (wanted: over "
+            f"{_LEAST_SLOPE:g})",
+            advice="record one ball that bounces freely",
+        )
+    )
+    if heard.rig.height_m is not None:
+        off, most_off = figures(heard.height_sds, _MOST_HEIGHT_SDS, 1)
+        checks.append(
+            Check(
+                "height fits the times",
+                heard.height_sds < _MOST_HEIGHT_SDS,
+                f"{off} standard deviations off (at most {most_off})",
+                advice="measure from the ball's underside, and record its first impact",
+            )
+        )
+    if fit is not None:
+        checks.append(sure_check(*fit.interval95[0], reject=_UNSURE))
+    return (*checks, _simulation_check(heard, off_s(detection, last)))
+
+
+def _no_rhythm(heard: HeardBall) -> tuple[Check, Check]:
+    name, log_odds = heard.rhythm
+    odds = float(np.exp(min(log_odds, 20.0)))
+    value, most = figures(float(heard.values[0]), _MOST_RESTITUTION, 3)
+    return (
+        Check(
+            "a ball rather than a rhythm",
+            log_odds > _NO_RHYTHM,
+            f"{odds:.3g} to 1 against {name} (wanted: {np.exp(_NO_RHYTHM):.0f} to 1)",
+            advice="record more bounces of one ball, near the microphone",
+        ),
+        Check(
+            "flights shorten as a ball's",
+            heard.values[0] <= _MOST_RESTITUTION,
+            f"each lasts {value} of the one before (at most {most}: no ball that is heard keeps "
+            "more)",
+            advice="record one ball that bounces freely",
+        ),
+    )
+
+
+def _most_jitter_s(heard: HeardBall) -> float:
+    return min(_MOST_JITTER_S, _MOST_JITTER * float(np.diff(heard.predicted_s).mean()))
+
+
+def off_s(detection: TimesDetection, step: Step) -> Array:
+    """Impacts of an iterate's rollout less those heard, shape (I,) [s]; NaN where one is none."""
+    assert step.evaluation is not None
+    off = step.evaluation.observation.values - detection.target.values
+    return off[:, 0] / detection.heard.seconds_s
+
+
+def _simulation_check(heard: HeardBall, off: Array) -> Check:
+    known = off[np.isfinite(off)]
+    rms_s = float(np.sqrt(np.mean(known**2))) if len(known) else np.inf
+    most_s = _FITS * heard.jitter_s + _LEAST_FIT_S
+    rms, most = figures(1000 * rms_s, 1000 * most_s, 2)
+    worst = 1000 * float(np.abs(known).max(initial=0.0))
+    return Check(
+        "simulation fits",
+        rms_s < most_s,
+        f"its impacts are {rms} ms from those heard, rms of {len(known)} (at most {most}, by their "
+        f"jitter of {1000 * heard.jitter_s:.2f} ms); {worst:.2f} ms at worst",
+        advice="drop it again without spin, onto a hard and level surface",
+    )
+
+
+def ratio_cross_check(heard: HeardBall, value: float) -> CrossCheck | None:
+    """By plain ratios of one flight's duration to that before; None where no two are whole.
+
+    Each is compared with that of the fitted ball, so that the air takes nothing from it.
+    """
+    numbers, times_s, fitted_s = heard.numbers, heard.times_s, heard.predicted_s
+    whole = np.flatnonzero((np.diff(numbers[:-1]) == 1) & (np.diff(numbers[1:]) == 1))
+    if not len(whole):
+        return None
+    before, after = np.diff(times_s)[whole], np.diff(times_s)[whole + 1]
+    at = numbers[whole]
+    usual = np.diff(fitted_s)[at + 1] / np.diff(fitted_s)[at]
+    each = after / before / usual
+    sds = heard.jitter_s * np.sqrt(before**-2 + after**-2 + (1 / before + 1 / after) ** 2)
+    best = int(np.argmin(sds))
+    weights = sds**-2 / np.sum(sds**-2)
+    seen = value * float(weights @ each)
+    sd = value * float(sds[best])
+    agrees = abs(seen - value) < _AGREEMENT + 3 * sd
+    return CrossCheck("ratios of the flights' durations", seen, bool(agrees), DISAGREEMENT)

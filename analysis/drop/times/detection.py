@@ -1,0 +1,218 @@
+"""A drop as it was heard: impact times in an episode, and the estimation problem that they pose."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from analysis.drop.times.fit import Rig
+from analysis.drop.times.posterior import HeardBall, heard_ball
+from analysis.estimators.base import FitResult, Observation, Problem
+from recorders.simulators.balls import Ball
+from recorders.simulators.base import GRAVITY_M_S2
+from recorders.simulators.closed_form.flight import lands_after_s
+from recorders.simulators.contact import CALIBRATED
+from recorders.simulators.drop import TOPIC, DropRig, DropSimulator
+from tunenet_logs.arrays import Array
+from tunenet_logs.episode import Episode
+from tunenet_logs.errors import NotFoundError, UsageError
+from tunenet_logs.terminal import listed
+
+FEWEST_IMPACTS = 3
+"""Two flights: their durations' ratio is one restitution."""
+
+_EVEN = 0.985
+"""Restitution from which on beats are even: no ball keeps its height."""
+
+_NO_ODDS = -5.0
+"""Logarithm of the odds against noises below which the times are none of a ball."""
+
+_PER_FLIGHT, _RATES_HZ = 16, (250.0, 2000.0)
+"""Samples of a rollout in the shortest flight, and rates within which that is kept."""
+
+_MOST_SAMPLES, _MORE_FLIGHTS = 20_000, 0.5
+"""Of a rollout; and what comes after the last impact, in last flights."""
+
+_SAME_S = 1e-7
+"""Moments that differ by less are one sample of a rollout."""
+
+
+@dataclass(frozen=True, eq=False)
+class TimesDetection:
+    """Times of impacts, as one signal has them.
+
+    Attributes:
+        topic: the signal.
+        start_ns: where the log's clock is 0: the signal's first time.
+        times_s: of all that was heard in the selection, on the log's clock, shape (N,).
+        rig: what is known beside them.
+        ball: what was dropped, as far as it is known.
+        warnings: what a user should know, in words.
+    """
+
+    topic: str
+    start_ns: int
+    times_s: Array
+    rig: Rig
+    ball: Ball
+    warnings: tuple[str, ...] = ()
+
+    @cached_property
+    def heard(self) -> HeardBall:
+        """The ball that explains the times.
+
+        Raises:
+            NotFoundError: no ball does; the message says what the times are.
+        """
+        found = heard_ball(self.times_s, self.rig)
+        apart_s = np.diff(self.times_s)
+        what = (
+            f"{len(self.times_s)} times, {1000 * apart_s.min():.4g} to {1000 * apart_s.max():.4g} "
+            "ms apart"
+        )
+        refused = "are no bouncing ball's: from impact to impact its flights get shorter by a ratio"
+        if found is None:
+            raise NotFoundError(f"{what}, {refused}")
+        if found.values[0] >= _EVEN and found.told:
+            raise NotFoundError(
+                f"{what}, {refused}; these beats are nearly even ({found.values[0]:.3f})"
+            )
+        if found.log_odds < _NO_ODDS:
+            raise NotFoundError(
+                f"{what}, {refused}; noises at random times explain them better "
+                "(see --start, --end for a part of the log)"
+            )
+        return found
+
+    @property
+    def window(self) -> Mapping[str, float]:
+        """The first and the last impact, and the first whose restitution is told [s]."""
+        heard = self.heard
+        first_s, last_s = heard.times_s[[0, -1]].tolist()
+        told_s = float(heard.predicted_s[heard.told])
+        return {"start_s": first_s, "impact_s": told_s, "end_s": last_s}
+
+    @property
+    def extent(self) -> tuple[str, str]:
+        """How many impacts were heard."""
+        return "drop", f"{len(self.heard.times_s)} impacts"
+
+    @cached_property
+    def target(self) -> Observation:
+        """o_T: when each impact was heard; NaN of one that was not."""
+        heard = self.heard
+        values = np.full(int(heard.numbers.max()) + 1, np.nan)
+        values[heard.numbers] = heard.times_s * heard.seconds_s
+        return _observation(values[heard.told :])
+
+    @cached_property
+    def rig_of_rollouts(self) -> DropRig:
+        """The fall that ends with the first impact that is told, and as many bounces.
+
+        The clock's zero is the log's; without a clock, seconds are those of the fit.
+        """
+        heard = self.heard
+        fall_m = heard.fall_m
+        lasts_s = lands_after_s(fall_m, 0.0, GRAVITY_M_S2, float(heard.values[2]))
+        impacts_s = heard.predicted_s * heard.seconds_s
+        release_s = float(impacts_s[heard.told]) - lasts_s
+        apart_s = np.diff(impacts_s)
+        until_s = float(impacts_s[-1] + _MORE_FLIGHTS * apart_s[-1]) - release_s
+        rate_hz = float(np.clip(_PER_FLIGHT / apart_s.min(), *_RATES_HZ))
+        rate_hz = min(rate_hz, _MOST_SAMPLES / until_s)
+        even_s = np.arange(int(np.ceil(until_s * rate_hz)) + 1) / rate_hz
+        heard_s = heard.times_s * heard.seconds_s - release_s
+        own = heard_s[heard_s > 0]
+        apart = np.abs(own[:, None] - even_s).min(axis=1) > _SAME_S
+        return DropRig(
+            gap_m=fall_m,
+            rate_hz=rate_hz,
+            samples=len(even_s),
+            start_ns=self.start_ns + round(1e9 * release_s),
+            times_s=tuple(np.sort(np.append(even_s, own[apart])).tolist()),
+        )
+
+
+def times_problem(detection: TimesDetection, initial: Array) -> Problem:
+    """A simulator whose rollouts hit the table when the ball was heard to.
+
+    Args:
+        detection: the times.
+        initial: restitution, slope and drag [1/m], or the first of these, shape (P,).
+
+    Raises:
+        NotFoundError: no ball explains the times, or its flights are too short to be simulated.
+        UsageError: the initial value is out of bounds.
+    """
+    heard = detection.heard
+    try:
+        rig = detection.rig_of_rollouts
+    except UsageError as error:
+        flights_s = np.diff(heard.times_s)
+        raise NotFoundError(
+            f"these impacts cannot be simulated: {error}; flights of {1000 * flights_s.min():.3g} "
+            f"to {1000 * flights_s.max():.3g} ms: are the times in seconds?"
+        ) from error
+    count = len(detection.target.axis)
+
+    def exact_fit(start: Array) -> FitResult:
+        """The ball that explains all times best; more values than `start` has are left away."""
+        asked = len(start)
+        return FitResult(heard.values[:asked], heard.interval95[:asked], detail=heard.rebounds)
+
+    return Problem(
+        detection.target,
+        DropSimulator(rig, CALIBRATED),
+        lambda episode: _observation(rollout_impacts(episode, rig, detection.start_ns, count)),
+        initial,
+        exact_fit,
+        np.array([1.0, 1.0, 1 / rig.gap_m])[: len(initial)],
+    )
+
+
+def rollout_impacts(episode: Episode, rig: DropRig, start_ns: int, count: int) -> Array:
+    """Times of the first impacts of a rollout, from its heights, shape (count,) [s]; NaN of none.
+
+    The last two samples of a flight say where it goes on to: it falls with g.
+    """
+    signal = episode.signals[TOPIC]
+    seconds = (signal.stamps_ns - rig.start_ns).astype(np.float64) * 1e-9
+    places = seconds * rig.rate_hz
+    even = np.abs(places - np.round(places)) < 1e-3 * rig.rate_hz * _SAME_S + 1e-4
+    seconds, gaps = seconds[even], signal.values[even, 2] - rig.radius_m
+    inner = gaps[1:-1]
+    lowest = np.flatnonzero((inner < gaps[:-2]) & (inner <= gaps[2:])) + 1
+    found = np.full(count, np.nan)
+    for number, at in enumerate(lowest[lowest >= 3][:count].tolist()):
+        apart_s = seconds[at - 1] - seconds[at - 2]
+        speed = (gaps[at - 1] - gaps[at - 2]) / apart_s
+        bend = (speed - (gaps[at - 2] - gaps[at - 3]) / (seconds[at - 2] - seconds[at - 3])) / (
+            seconds[at - 1] - seconds[at - 3]
+        )
+        speed += bend * apart_s
+        falls = -speed + np.sqrt(max(speed**2 - 4 * bend * gaps[at - 1], 0.0))
+        found[number] = seconds[at - 1] + 2 * gaps[at - 1] / falls
+    return found + (rig.start_ns - start_ns) * 1e-9
+
+
+def _observation(values: Array) -> Observation:
+    axis = np.arange(1.0, len(values) + 1)
+    return Observation(values[:, None], axis, "impact", ("time [s]",))
+
+
+def signals_in(episode: Episode, topic: str | None) -> list[str]:
+    """Names of the signals of impact times, those with the most impacts first."""
+    signals = episode.signals.values() if topic is None else episode.signals_of(topic)
+    named = [signal for signal in signals if signal.columns == ("impact",)]
+    return [one.name for one in sorted(named, key=lambda one: -len(one.stamps_ns))]
+
+
+def no_times(episode: Episode, topic: str | None) -> NotFoundError:
+    """Why an episode has none."""
+    known = listed(sorted(signals_in(episode, None)))
+    if topic is not None and known:
+        return NotFoundError(f"no impact times in topic {topic}; there are: {known}")
+    return NotFoundError("no channel with times of impacts; name them: --columns times=COLUMN")

@@ -1,0 +1,281 @@
+"""What impact times say of a ball: restitution, slope and drag, each with its 95 % interval.
+
+For every slope and drag of a grid the time of the first impact, the speed after it and the
+restitution at the second are fitted by least squares; likelihood, priors and the unknown jitter of
+the times weigh them. With the height of the drop the restitution at the first impact follows too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.drop.times import impact_prior as priors
+from analysis.drop.times.flight_times import FlightTimes, fallen_m_s, flights
+from recorders.simulators.base import GRAVITY_M_S2
+from tunenet_logs.arrays import Array
+
+HEIGHT_SD, LEAST_HEIGHT_SD_M = 0.005, 0.003
+"""By how much a height may be off that was measured by hand: a fraction, and a length [m]."""
+
+_FREEDOM = 2.0
+"""Of the height's distribution."""
+
+_ROUGH, _FINE, _REACH_SDS = (18, 12), (25, 25), 4.5
+"""Cells of the grid, first over all balls, then about what is likely, so many sds to a side."""
+
+_ITERATIONS, _SHORT = 7, 1e-6
+"""Of Gauss and Newton's method, and the step of its derivatives."""
+
+_LEAST_SD = 1e-5
+"""Of a restitution: no clock and no table are better."""
+
+_FLIGHT_RANGE = np.log(100.0)
+"""Of the log duration of a first flight, before it is heard."""
+
+_NEGLIGIBLE = 1e-6
+"""Weight of a ball that is left away."""
+
+_TRIED = np.linspace(0.06, 1.1, 209)
+"""Restitutions to begin with."""
+
+
+@dataclass(frozen=True)
+class Rig:
+    """What is known beside the times.
+
+    Attributes:
+        drag_1_m: of the ball; None where it is not known.
+        height_m: of the drop whose first impact is heard first; None where it is not known.
+        has_clock: whether the seconds are true.
+    """
+
+    drag_1_m: float | None = None
+    height_m: float | None = None
+    has_clock: bool = True
+
+    @property
+    def height_sd_m(self) -> float:
+        """Standard deviation of the height."""
+        return max(HEIGHT_SD * (self.height_m or 0.0), LEAST_HEIGHT_SD_M)
+
+
+@dataclass(frozen=True, eq=False)
+class Balls:
+    """Balls that may have made the times, each of a slope, a drag and a jitter; shape (M,) each.
+
+    Attributes:
+        weights: adding up to 1.
+        restitutions: at the first impact that can be told: the second that is heard, or the first
+            where the height is known.
+        sds: of them.
+        slopes: p.
+        drags_1_m: likewise.
+        jitters_s: of the times.
+        begins: log speed after the first impact [m/s].
+        log_evidence: of all together, against noises: see `fit_times`.
+        height_sds: by how many standard deviations the law's first rebound is off from what the
+            height asks for; 0 without a height.
+    """
+
+    weights: Array
+    restitutions: Array
+    sds: Array
+    slopes: Array
+    drags_1_m: Array
+    jitters_s: Array
+    begins: Array
+    log_evidence: float
+    height_sds: float
+
+    def mean(self, values: Array) -> float:
+        """Of values of the balls, shape (M,)."""
+        return float(self.weights @ values)
+
+    def sd(self, values: Array) -> float:
+        """Standard deviation of them."""
+        return float(np.sqrt(max(self.weights @ values**2 - self.mean(values) ** 2, 0.0)))
+
+
+def fit_times(
+    times_s: Array, numbers: NDArray[np.int64], log_rate: float, rig: Rig, *, fine: bool = True
+) -> Balls:
+    """All balls whose impacts may have been heard at these times.
+
+    Args:
+        times_s: of the impacts, shape (N,), N at least 3 [s].
+        numbers: of the impacts, the first 0, shape (N,).
+        log_rate: logarithm of the density of noises' times [1/s], by which the evidence is divided.
+        rig: what is known.
+        fine: whether the grid is refined about the likeliest.
+    """
+    nodes = priors.nodes(
+        priors.WHOLE_SLOPE,
+        priors.WHOLE_LOG_DRAG,
+        _ROUGH,
+        rig.drag_1_m,
+        has_clock=rig.has_clock,
+    )
+    balls = _weighed(_Fit.of(times_s, numbers, nodes), nodes, log_rate, rig)
+    if not fine:
+        return balls
+    positive = balls.drags_1_m > 0
+    logs = np.log(np.where(positive, balls.drags_1_m, priors.USUAL_DRAG_1_M))
+    ends = [_about(balls, balls.slopes, 0.01), _about(balls, logs, 0.1)]
+    nodes = priors.nodes(ends[0], ends[1], _FINE, rig.drag_1_m, has_clock=rig.has_clock)
+    return _weighed(_Fit.of(times_s, numbers, nodes), nodes, log_rate, rig)
+
+
+def _about(balls: Balls, values: Array, least_sd: float) -> tuple[float, float]:
+    middle, sd = balls.mean(values), max(balls.sd(values), least_sd)
+    return middle - _REACH_SDS * sd, middle + _REACH_SDS * sd
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """Least squares of every ball of a grid.
+
+    Attributes:
+        unknowns: time of the first impact [s], log speed after it [m/s], restitution at the second;
+            shape (M, 3).
+        spread: of them, for a jitter of 1 s, shape (M, 3, 3).
+        squares: sum of the squared residuals, shape (M,) [s²].
+        seconds_m_s: speed of the second impact, shape (M,).
+        count: N, of the times.
+    """
+
+    unknowns: Array
+    spread: Array
+    squares: Array
+    seconds_m_s: Array
+    count: int
+
+    @classmethod
+    def of(cls, times_s: Array, numbers: NDArray[np.int64], nodes: priors.Nodes) -> _Fit:
+        """Gauss-Newton for all balls at once, from the ball without air that fits best."""
+        count = int(numbers.max())
+
+        def flown(begin: Array, kept: Array) -> FlightTimes:
+            return flights(count, np.exp(begin), kept, nodes.slopes, nodes.drags_1_m)
+
+        start = _ideal(times_s, numbers)
+        unknowns = np.tile(start, (len(nodes.slopes), 1))
+        first = np.zeros((len(times_s), len(unknowns)))
+        seconds, spread = unknowns[:, 0], np.zeros((len(unknowns), 3, 3))
+        for step in range(_ITERATIONS + 1):
+            begin, kept = unknowns[:, 1], unknowns[:, 2]
+            here = flown(begin, kept)
+            hits = here.impacts_s[numbers]
+            seconds = here.arriving_m_s[1]
+            first = times_s[:, None] - unknowns[:, 0] - hits
+            jacobian = np.stack(
+                [
+                    np.ones_like(hits),
+                    (flown(begin + _SHORT, kept).impacts_s[numbers] - hits) / _SHORT,
+                    (flown(begin, kept + _SHORT).impacts_s[numbers] - hits) / _SHORT,
+                ],
+                axis=-1,
+            )
+            normal = np.einsum("nmi,nmj->mij", jacobian, jacobian)
+            normal += 1e-12 * np.eye(3)
+            spread = np.linalg.inv(normal)
+            if step == _ITERATIONS:
+                break
+            gradient = np.einsum("nmi,nm->mi", jacobian, first)
+            moves = np.einsum("mij,mj->mi", spread, gradient)
+            moves[:, 1:] = np.clip(moves[:, 1:], -0.15, 0.15)
+            unknowns = unknowns + moves
+            unknowns[:, 2] = np.clip(unknowns[:, 2], 0.01, 1.3)
+        return cls(unknowns, spread, (first**2).sum(axis=0), seconds, len(times_s))
+
+
+def _ideal(times_s: Array, numbers: NDArray[np.int64]) -> Array:
+    """The best ball without air and slope: first impact [s], log speed [m/s], restitution."""
+    powers = _TRIED[:, None] ** np.arange(int(numbers.max()))
+    at = np.cumsum(np.column_stack([np.zeros(len(_TRIED)), powers]), axis=1)[:, numbers]
+    middle = at.mean(axis=1)
+    about = at - middle[:, None]
+    lasting = about @ times_s / (about**2).sum(axis=1)
+    begin = times_s.mean() - lasting * middle
+    squares = ((times_s - begin[:, None] - lasting[:, None] * at) ** 2).sum(axis=1)
+    best = int(np.where(lasting > 0, squares, np.inf).argmin())
+    speed_m_s = max(float(lasting[best]), 1e-6) * GRAVITY_M_S2 / 2
+    return np.array([begin[best], np.log(speed_m_s), _TRIED[best]])
+
+
+def _weighed(fit: _Fit, nodes: priors.Nodes, log_rate: float, rig: Rig) -> Balls:
+    """Every ball of the grid with every jitter, by the evidence of each."""
+    jitters = priors.JITTERS_S
+    free = fit.count - 3
+    log = nodes.log_prior[:, None] + priors.log_jitter_prior()[None, :]
+    log = log - fit.squares[:, None] / (2 * jitters**2) - free * np.log(jitters)
+    log = log + 0.5 * np.linalg.slogdet(fit.spread)[1][:, None]
+    log -= 0.5 * free * np.log(2 * np.pi) + np.log(_FLIGHT_RANGE) + (fit.count - 1) * log_rate
+    variance = jitters**2 * fit.spread[:, 2, 2][:, None]
+    value = np.broadcast_to(fit.unknowns[:, 2][:, None], log.shape)
+    begin = np.broadcast_to(fit.unknowns[:, 1][:, None], log.shape)
+    off_sds = np.zeros_like(log)
+    if rig.height_m is not None:
+        value, variance, begin, off_sds, height_log = _from_height(fit, nodes, rig)
+        log = log + height_log
+    most = log.max()
+    weights = np.exp(log - most)
+    evidence = float(most + np.log(weights.sum()))
+    weights /= weights.sum()
+    rows, columns = np.nonzero(weights > _NEGLIGIBLE)
+    chosen = weights[rows, columns]
+    chosen = chosen / chosen.sum()
+    return Balls(
+        weights=chosen,
+        restitutions=value[rows, columns],
+        sds=np.sqrt(variance[rows, columns] + _LEAST_SD**2),
+        slopes=nodes.slopes[rows],
+        drags_1_m=nodes.drags_1_m[rows],
+        jitters_s=jitters[columns],
+        begins=begin[rows, columns],
+        log_evidence=evidence,
+        height_sds=float(chosen @ off_sds[rows, columns]),
+    )
+
+
+def _from_height(
+    fit: _Fit, nodes: priors.Nodes, rig: Rig
+) -> tuple[Array, Array, Array, Array, Array]:
+    """The restitution at the first impact by height and law, shape (M, J).
+
+    The times tell the speed after the first impact and the restitution at the second; the height
+    tells the speed before the first. The law ties all three: one more measurement, in closed form.
+
+    Returns:
+        Restitutions, their variances, log speeds after the first impact, how many standard
+        deviations the law is off, and the logarithm of what that does to the weights.
+    """
+    assert rig.height_m is not None
+    jitters = priors.JITTERS_S
+    arrives = fallen_m_s(rig.height_m, nodes.drags_1_m)
+    arrives_sd = 0.5 * rig.height_sd_m / rig.height_m
+    begin, kept = fit.unknowns[:, 1], np.maximum(fit.unknowns[:, 2], 0.01)
+    # f = log e_2 - p log(v_1 / v_2) - log w_1 + log v_1, which is 0 by the law
+    off = np.log(kept) + (1 - nodes.slopes) * np.log(arrives) - begin
+    off = off + nodes.slopes * np.log(fit.seconds_m_s)
+    bent = (fit.seconds_m_s / np.exp(begin)) ** 2  # d log v_2 / d log w_1
+    by_begin, by_kept, by_arrives = nodes.slopes * bent - 1, 1 / kept, 1 - nodes.slopes
+    spread = fit.spread[:, 1:, 1:]
+    row = np.column_stack([by_begin, by_kept])
+    across = np.einsum("mij,mj->mi", spread, row)  # of log w_1 and e_2, for a jitter of 1 s
+    told = jitters**2 * np.einsum("mi,mi->m", row, across)[:, None]
+    arrives_move = by_arrives * arrives_sd**2
+    variance = told + (by_arrives * arrives_move)[:, None]
+    # log e_1 = log w_1 - log v_1, before and after f = 0 is told
+    before = begin - np.log(arrives)
+    covariance = jitters**2 * across[:, 0][:, None] - arrives_move[:, None]
+    log_value = before[:, None] - covariance / variance * off[:, None]
+    own = jitters**2 * spread[:, 0, 0][:, None] + arrives_sd**2
+    log_variance = np.maximum(own - covariance**2 / variance, 0.0)
+    value = np.exp(log_value)
+    begins = begin[:, None] - jitters**2 * across[:, 0][:, None] / variance * off[:, None]
+    square = off[:, None] ** 2 / variance  # a height may be wrong altogether: Student's t
+    likely = -0.5 * (_FREEDOM + 1) * np.log1p(square / _FREEDOM) - 0.5 * np.log(variance)
+    return value, value**2 * log_variance, begins, np.abs(off[:, None]) / np.sqrt(variance), likely

@@ -1,0 +1,60 @@
+"""How the tuned simulator moves beside what was heard: it is on the table at each impact."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from analysis.drop.times.detection import TimesDetection
+from analysis.estimators.base import Step, Trace
+from analysis.motion import MOST_SAMPLES, Curves, Motion
+from analysis.record import Rebound
+from tunenet_logs.arrays import Array
+
+_TOLD = 0.15
+"""Of drag and slope: an interval wider than this, in restitution, is a prior's."""
+
+_SAME_S = 5e-9
+"""Stamps that differ by less are of one moment."""
+
+
+def simulated_m(detection: TimesDetection, step: Step) -> tuple[Array, Array]:
+    """Times on the log's clock [s] and heights above the table [m] of an iterate, each (T,)."""
+    assert step.evaluation is not None
+    signal = next(iter(step.evaluation.episode.signals.values()))
+    seconds = (signal.stamps_ns - detection.start_ns).astype(np.float64) * 1e-9
+    heights_m = signal.values[:, 2] - detection.rig_of_rollouts.radius_m
+    return seconds / detection.heard.seconds_s, heights_m
+
+
+def heard_motion(detection: TimesDetection, trace: Trace) -> Motion:
+    """The rollout's height; what was observed is 0 at each impact that was heard, else nothing."""
+    if not detection.rig.has_clock:
+        return Motion(untold=_untold(detection))
+    seconds, heights_m = simulated_m(detection, trace.steps[-1])
+    observed_m = np.full(len(seconds), np.nan)
+    heard_s = detection.heard.times_s
+    at = np.clip(np.searchsorted(seconds, heard_s - _SAME_S), 0, len(seconds) - 1)
+    there = np.abs(seconds[at] - heard_s) <= _SAME_S
+    observed_m[at[there]] = 0.0
+    every = max(1, -(-len(seconds) // (MOST_SAMPLES // 2)))
+    kept = np.union1d(np.arange(0, len(seconds), every), at[there])
+    curves = Curves(detection.start_ns, seconds[kept], observed_m[kept], heights_m[kept])
+    return Motion(curves=curves, untold=_untold(detection))
+
+
+def heard_rebounds(detection: TimesDetection, trace: Trace) -> tuple[Rebound, ...]:
+    """Each impact between two flights that were heard whole."""
+    return detection.heard.rebounds if trace.fit is not None else detection.heard.rebounds[:1]
+
+
+def _untold(detection: TimesDetection) -> tuple[str, ...]:
+    """What the times leave to what is known of balls, in words."""
+    slope, drag = np.ptp(detection.heard.interval95[1:], axis=1).tolist()
+    found: list[str] = []
+    if slope > _TOLD:
+        found.append("these times do not tell the slope: its interval is what is known of balls")
+    if drag > _TOLD and detection.rig.drag_1_m is None:
+        found.append(
+            "these times do not tell the drag: its interval is what is known of balls (see --ball)"
+        )
+    return tuple(found)

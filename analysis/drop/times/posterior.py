@@ -1,0 +1,290 @@
+"""The ball that was heard: an average over readings of the times, and over balls that make them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.drop.times.fit import Balls, Rig, fit_times
+from analysis.drop.times.flight_times import (
+    FlightTimes,
+    apex_m,
+    fallen_m_s,
+    flights,
+    leaving_speeds,
+)
+from analysis.drop.times.missing_impacts import Reading, noise_rate_hz, readings
+from analysis.drop.times.rhythms import Rhythm, best_rhythm
+from analysis.record import Rebound
+from analysis.statistics import TWO_SIDED
+from recorders.simulators.base import GRAVITY_M_S2
+from tunenet_logs.arrays import Array
+
+MOST_TIMES = 60
+"""That are looked at: by then a ball hardly rises."""
+
+_READINGS = 8
+"""That are fitted; most have one that stands out."""
+
+_NEGLIGIBLE = 1e-4
+"""Weight of a reading that is left away."""
+
+_TAILS = (0.025, 0.975)
+"""Probabilities at the ends of an interval."""
+
+_HALVINGS = 24
+"""Of a bracket of about 1 around a quantile."""
+
+_TYPICAL_APEX_M = 0.4
+"""Of a first flight whose true seconds are not known."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeardBall:
+    """What the times say of a ball.
+
+    Attributes:
+        values: restitution at the first impact that can be told, slope, drag [1/m], shape (3,).
+        interval95: shape (3, 2).
+        reading: the likeliest.
+        times_s: of its impacts, as they were heard, shape (N,) [s].
+        rig: what was known.
+        jitter_s: standard deviation of a time.
+        log_odds: logarithm of the odds against noises at random times.
+        rhythm: what explains the times best of all that is no ball, and the logarithm of a ball's
+            odds against it.
+        height_sds: by how many standard deviations the height contradicts the times.
+        begin_s: time of the first impact by the values [s].
+        leaving_m_s: speed after it.
+        seconds_s: true seconds in one of the log's: 1, where it has a clock.
+    """
+
+    values: Array
+    interval95: Array
+    reading: Reading
+    times_s: Array
+    rig: Rig
+    jitter_s: float
+    log_odds: float
+    rhythm: tuple[str, float]
+    height_sds: float
+    begin_s: float
+    leaving_m_s: float
+    seconds_s: float
+
+    @property
+    def numbers(self) -> NDArray[np.int64]:
+        """Of the impacts that were heard, the first 0, shape (N,)."""
+        return self.reading.numbers[self.reading.heard]
+
+    @property
+    def told(self) -> int:
+        """Number of the impact whose restitution the first value is: 1, or 0 with a height."""
+        return int(self.rig.height_m is None)
+
+    @cached_property
+    def flown(self) -> FlightTimes:
+        """The ball of the values, to the last impact that was heard."""
+        return _flown(int(self.numbers.max()), self.leaving_m_s, self.values, self.rig)
+
+    @property
+    def predicted_s(self) -> Array:
+        """Of all impacts by the values, shape (I,) [s]."""
+        return self.begin_s + self.flown.impacts_s[:, 0] / self.seconds_s
+
+    @property
+    def residuals_s(self) -> Array:
+        """Heard less predicted, shape (N,) [s]."""
+        return self.times_s - self.predicted_s[self.numbers]
+
+    @property
+    def fall_m(self) -> float:
+        """Height of the fall that ends with the first impact that is told [m]."""
+        if self.rig.height_m is not None:
+            arrives = self.leaving_m_s / max(float(self.values[0]), 1e-3)
+            drag_1_m = max(float(self.values[2]), 1e-9)
+            reached = min(drag_1_m / GRAVITY_M_S2 * arrives**2, 0.999)
+            return -float(np.log1p(-reached)) / (2 * drag_1_m)
+        return apex_m(self.leaving_m_s, float(self.values[2]))
+
+    @cached_property
+    def rebounds(self) -> tuple[Rebound, ...]:
+        """Each impact between two flights that were heard whole, by their durations alone."""
+        found = [self._told()]
+        drag_1_m = float(self.values[2])
+        known = dict(zip(self.numbers.tolist(), self.times_s.tolist(), strict=True))
+        for number in sorted(known):
+            if number <= self.told or not {number - 1, number + 1} <= known.keys():
+                continue
+            lasted = np.array(
+                [known[number] - known[number - 1], known[number + 1] - known[number]]
+            )
+            before, after = leaving_speeds(lasted * self.seconds_s, drag_1_m)
+            arrives = float(self._arriving(before, drag_1_m))
+            value = float(after) / arrives
+            drags = self.interval95[2]
+            open_sd = abs(np.ptp([after / self._arriving(before, float(k)) for k in drags])) / (
+                2 * TWO_SIDED
+            )
+            parts = np.array([1 / lasted[0], sum(1 / lasted), 1 / lasted[1]])
+            sd = float(np.hypot(value * self.jitter_s * np.linalg.norm(parts), open_sd))
+            ends = max(value - TWO_SIDED * sd, 0.0), min(value + TWO_SIDED * sd, 1.0)
+            found.append(Rebound(known[number], min(value, 1.0), ends, self._speed(arrives)))
+        return tuple(found)
+
+    def _told(self) -> Rebound:
+        low, high = self.interval95[0].tolist()
+        if self.told:
+            arrives = float(self.flown.arriving_m_s[1, 0])
+        else:
+            arrives = float(fallen_m_s(self.fall_m, float(self.values[2])))
+        at_s = float(self.predicted_s[self.told])
+        return Rebound(at_s, float(self.values[0]), (low, high), self._speed(arrives))
+
+    def _speed(self, arrives_m_s: float) -> float | None:
+        return arrives_m_s if self.rig.has_clock else None
+
+    @staticmethod
+    def _arriving(leaving_m_s: float, drag_1_m: float) -> float:
+        reach = leaving_m_s * np.sqrt(max(drag_1_m, 0.0) / GRAVITY_M_S2)
+        return float(leaving_m_s / np.hypot(1.0, reach))
+
+
+def heard_ball(times_s: Array, rig: Rig) -> HeardBall | None:
+    """Average over all that may have been heard; None where no ball explains any of it.
+
+    Args:
+        times_s: rising, shape (N,) [s]; of more than `MOST_TIMES` the first.
+        rig: what is known beside them.
+    """
+    times_s = times_s[:MOST_TIMES]
+    if len(times_s) < 3:
+        return None
+    seconds_s = 1.0 if rig.has_clock else _typical_seconds(times_s)
+    clock = times_s * seconds_s
+    log_rate = float(np.log(noise_rate_hz(clock)))
+    heightless = replace(rig, height_m=None)  # it tells nothing of which time is an impact
+    tried = [
+        (one, fit_times(clock[one.heard], one.numbers[one.heard], log_rate, heightless, fine=False))
+        for one in readings(clock, _READINGS)
+    ]
+    if not tried:
+        return None
+    odds = np.array([balls.log_evidence + one.log_prior(clock) for one, balls in tried])
+    best = int(odds.argmax())
+    first = tried[best][0].heard[0]
+    weights = np.exp(odds - odds.max())
+    weights[[one.heard[0] != first for one, _ in tried]] = 0.0
+    weights /= weights.sum()
+    chosen = [
+        (weight, fit_times(clock[one.heard], one.numbers[one.heard], log_rate, rig))
+        for weight, (one, _) in zip(weights.tolist(), tried, strict=True)
+        if weight > _NEGLIGIBLE
+    ]
+    reading = tried[best][0]
+    balls = chosen[sum(weights[:best] > _NEGLIGIBLE)][1]
+    values = np.array(
+        [balls.mean(one) for one in (balls.restitutions, balls.slopes, balls.drags_1_m)]
+    )
+    values[0] = min(values[0], 1.0)
+    begin, leaving = _held(clock[reading.heard], reading, values, balls, rig)
+    return HeardBall(
+        values=values,
+        interval95=_intervals(chosen),
+        reading=reading,
+        times_s=times_s[reading.heard],
+        rig=rig,
+        jitter_s=balls.mean(balls.jitters_s) / seconds_s,
+        log_odds=float(odds[best]) - float(np.log(len(times_s))),
+        rhythm=_against_rhythms(clock, reading, log_rate, heightless),
+        height_sds=balls.height_sds,
+        begin_s=begin / seconds_s,
+        leaving_m_s=leaving,
+        seconds_s=seconds_s,
+    )
+
+
+def _against_rhythms(
+    clock_s: Array, reading: Reading, log_rate: float, rig: Rig
+) -> tuple[str, float]:
+    """The best rhythm of these impacts, or of all times, and a ball's log odds against it."""
+    heard = reading.heard
+    times_s, numbers = clock_s[heard], reading.numbers[heard]
+    prior = reading.log_prior(clock_s)
+    ball = fit_times(times_s, numbers, log_rate, rig).log_evidence + prior
+    every = Reading(np.arange(len(clock_s)), 0.0)
+    of_same = best_rhythm(times_s, numbers, log_rate)
+    of_every = best_rhythm(clock_s, every.numbers, log_rate)
+    tried: list[tuple[Rhythm, float]] = [(of_same, prior), (of_every, every.log_prior(clock_s))]
+    best, most = max(
+        ((one.name, one.log_evidence + log) for one, log in tried), key=lambda pair: pair[1]
+    )
+    return best, ball - most
+
+
+def _typical_seconds(times_s: Array) -> float:
+    """With which the longest flight is as high as usual: without a clock only its drag needs it."""
+    usual_s = 2 * float(np.sqrt(2 * _TYPICAL_APEX_M / GRAVITY_M_S2))
+    return usual_s / float(np.quantile(np.diff(times_s), 0.9))
+
+
+def _flown(count: int, leaving_m_s: float, values: Array, rig: Rig) -> FlightTimes:
+    """FlightTimes of one ball, shape (count + 1, 1)."""
+    restitution, slope, drag_1_m = (np.array([one]) for one in values.tolist())
+    if rig.height_m is not None:  # from the law's value at the first impact to that at the second
+        arrives = leaving_m_s / np.maximum(restitution, 1e-3)
+        second = flights(1, np.array([leaving_m_s]), restitution, slope, drag_1_m).arriving_m_s[1]
+        restitution = restitution * (second / arrives) ** -slope
+    return flights(count, np.array([leaving_m_s]), restitution, slope, drag_1_m)
+
+
+def _held(
+    clock_s: Array, reading: Reading, values: Array, balls: Balls, rig: Rig
+) -> tuple[float, float]:
+    """First impact [s] and speed after it [m/s] that fit best with the values held."""
+    numbers = reading.numbers[reading.heard]
+    log_speed, short, begin_s = balls.mean(balls.begins), 1e-6, float(clock_s[0])
+    for _ in range(6):
+        hits, moved = (
+            _flown(int(numbers.max()), float(np.exp(at)), values, rig).impacts_s[numbers, 0]
+            for at in (log_speed, log_speed + short)
+        )
+        columns = np.column_stack([np.ones(len(hits)), (moved - hits) / short])
+        off = clock_s - begin_s - hits
+        step, *_ = np.linalg.lstsq(columns, off, rcond=None)
+        begin_s, log_speed = begin_s + float(step[0]), log_speed + float(np.clip(step[1], -1, 1))
+    return begin_s, float(np.exp(log_speed))
+
+
+def _intervals(parts: list[tuple[float, Balls]]) -> Array:
+    """95 % intervals of the mixture of all readings, shape (3, 2)."""
+    weights = np.concatenate([weight * balls.weights for weight, balls in parts])
+    weights /= weights.sum()
+    restitutions, sds, slopes, drags = (
+        np.concatenate([getattr(balls, name) for _, balls in parts])
+        for name in ("restitutions", "sds", "slopes", "drags_1_m")
+    )
+    ends = [_quantile(at, restitutions, sds, weights) for at in _TAILS]
+    return np.array([np.clip(ends, 0.0, 1.0), _on_grid(slopes, weights), _on_grid(drags, weights)])
+
+
+def _on_grid(values: Array, weights: Array) -> Array:
+    """Ends of the 95 % interval of values on a grid, linear between its nodes."""
+    nodes, where = np.unique(values, return_inverse=True)
+    each = np.bincount(where, weights)
+    return np.interp(_TAILS, np.cumsum(each) - each / 2, nodes)
+
+
+def _quantile(probability: float, middles: Array, sds: Array, weights: Array) -> float:
+    """Of a mixture of normal distributions, by bisection."""
+    from scipy.special import ndtr
+
+    low, high = float((middles - 5 * sds).min()), float((middles + 5 * sds).max())
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        below = float(weights @ ndtr((middle - middles) / sds)) < probability
+        low, high = (middle, high) if below else (low, middle)
+    return (low + high) / 2

@@ -1,0 +1,311 @@
+"""A ball that is heard: restitution from impact times alone, and what is no ball."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rerun.chunk import RrdReader
+
+from analysis.cli.tune import main
+from analysis.drop.from_times import DropFromTimes
+from analysis.drop.times.fit import Rig
+from analysis.drop.times.missing_impacts import readings
+from analysis.drop.times.posterior import heard_ball
+from analysis.drop.times.rhythms import best_rhythm
+from analysis.evaluation.drop.impact_times import heard_set, times_figures
+from analysis.evaluation.drop.times_verdicts import NO_BALLS, verdicts
+from analysis.experiment import Claim
+from analysis.record import Tuning, record_of
+from analysis.record_json import record_from, to_json
+from analysis.report import row_of, table
+from analysis.selection import Options, Selection
+from analysis.tuning import tune_episode
+from recorders.simulators.balls import ball_named
+from recorders.simulators.closed_form.bounce import Bounce
+from tests.export_writers_video import phyphox_xlsx
+from tunenet_logs.arrays import Array
+from tunenet_logs.episode import FRAME_NS, Episode, EpisodeInfo, Signal
+from tunenet_logs.errors import NotFoundError
+
+GRAVITY_M_S2 = 9.80665
+HEIGHT_M, RESTITUTION, SLOPE, DRAG_1_M = 1.2, 0.78, 0.04, 0.02
+"""The ball of these tests."""
+
+
+def episode_of(
+    times_s: NDArray[Any], name: str = "All/impacts", *, frames: bool = False
+) -> Episode:
+    stamps_ns = np.round(np.asarray(times_s) * 1e9).astype(np.int64)
+    values = np.ones((len(stamps_ns), 1))
+    signal = Signal(name, stamps_ns, values, ("impact",), "1", counts_frames=frames)
+    return Episode(EpisodeInfo(), {name: signal})
+
+
+def impacts(count: int, seed: int = 0, jitter_s: float = 0.0005) -> Array:
+    """Times of the first impacts of the ball, from the closed form."""
+    ball = Bounce(RESTITUTION, SLOPE, DRAG_1_M * HEIGHT_M)
+    starts, _ = ball.flights(10.0)
+    rng = np.random.default_rng(seed)
+    fall_s = np.sqrt(2 * HEIGHT_M / GRAVITY_M_S2)
+    return 0.8 + starts[:count] * fall_s + rng.normal(0.0, jitter_s, count)
+
+
+def at_second() -> float:
+    """Restitution at the second impact."""
+    ball = Bounce(RESTITUTION, SLOPE, DRAG_1_M * HEIGHT_M)
+    _, speeds = ball.flights(10.0)
+    second = ball.flight(float(speeds[0]))[1]
+    return RESTITUTION * (second / ball.impact_speed) ** -SLOPE
+
+
+def tuned(
+    times_s: NDArray[Any], selection: Selection | None = None, *, frames: bool = False
+) -> Tuning:
+    options = Options(selection=selection or Selection())
+    return tune_episode(episode_of(times_s, frames=frames), options, Path("stopwatch.csv"))
+
+
+def test_a_clean_sequence_tells_the_restitution_of_the_second_impact():
+    tuning = tuned(impacts(9))
+    assert tuning.verdict == "ok", tuning.reason
+    assert tuning.estimate is not None
+    assert tuning.interval95 is not None
+    assert tuning.estimate[0] == pytest.approx(at_second(), abs=0.01)
+    low, high = tuning.interval95[0]
+    assert low < at_second() < high
+    assert (tuning.method, tuning.rollouts) == ("fit", 2)
+    rebounds = record_of(tuning).rebounds
+    assert len(rebounds) == 7  # all but the first and the last
+    assert rebounds[0].impact_speed_m_s == pytest.approx(3.7, abs=0.1)
+
+
+def test_a_known_height_tells_the_first_impact_too():
+    tuning = tuned(impacts(9), Selection(height_m=HEIGHT_M))
+    assert tuning.verdict == "ok", tuning.reason
+    assert tuning.estimate is not None
+    assert tuning.interval95 is not None
+    low, high = tuning.interval95[0]
+    assert low < RESTITUTION < high < low + 0.03
+    first = record_of(tuning).rebounds[0]
+    assert first.impact_s == pytest.approx(0.0, abs=0.002)
+    assert first.impact_speed_m_s == pytest.approx(4.75, abs=0.05)
+
+
+def test_a_wrong_height_is_doubted():
+    tuning = tuned(impacts(9), Selection(height_m=0.6))
+    assert tuning.verdict != "ok"
+    assert "height fits the times" in (tuning.reason or "")
+
+
+def test_a_known_ball_makes_it_surer():
+    usual, known = (
+        tuned(impacts(9), Selection(ball=ball)).interval95
+        for ball in (Selection().ball, ball_named("squash"))
+    )
+    assert usual is not None
+    assert known is not None
+    assert np.ptp(known[0]) < np.ptp(usual[0])
+
+
+@pytest.mark.parametrize("missed", [2, 3, 5])
+def test_a_missed_impact_is_found(missed: int):
+    times_s = np.delete(impacts(9, missed), missed)
+    ball = heard_ball(times_s, Rig())
+    assert ball is not None
+    assert ball.numbers.tolist() == [one for one in range(9) if one != missed]
+    assert ball.values[0] == pytest.approx(at_second(), abs=0.012)
+    assert tuned(times_s).verdict == "ok"
+
+
+@pytest.mark.parametrize("noise_s", [1.1, 1.9, 2.6])
+def test_a_noise_is_found(noise_s: float):
+    times_s = np.sort(np.append(impacts(9), noise_s))
+    ball = heard_ball(times_s, Rig())
+    assert ball is not None
+    assert ball.reading.false == 1
+    assert noise_s not in ball.times_s
+    assert ball.values[0] == pytest.approx(at_second(), abs=0.012)
+
+
+def test_three_wrong_times_among_nine_are_found():
+    times_s = np.sort(np.append(np.delete(impacts(10), [3, 6]), [1.3, 2.05]))
+    ball = heard_ball(times_s, Rig())
+    assert ball is not None
+    assert (ball.reading.missed, ball.reading.false) == (2, 2)
+    assert ball.values[0] == pytest.approx(at_second(), abs=0.015)
+
+
+def test_an_unknown_clock_tells_the_restitution_and_no_speed():
+    frames = np.round(impacts(9) * 1000) * FRAME_NS * 1e-9  # of a camera with 1000 a second
+    tuning = tuned(frames, Selection(height_m=HEIGHT_M), frames=True)
+    assert tuning.estimate is not None
+    assert tuning.estimate[0] == pytest.approx(at_second(), abs=0.012)
+    record = record_of(tuning)
+    assert {bounce.impact_speed_m_s for bounce in record.rebounds} == {None}
+    assert any("--height not used" in warning for warning in record.warnings)
+
+
+def _not_balls() -> dict[str, NDArray[Any]]:
+    rng = np.random.default_rng(5)
+    return {
+        "clapping": np.cumsum(0.4 + rng.normal(0, 0.002, 12)),
+        "a hand's clapping": np.cumsum(0.4 + rng.normal(0, 0.02, 12)),
+        "increasing": np.cumsum(0.2 * 1.12 ** np.arange(12)),
+        "linear": np.cumsum(0.6 - 0.3 * np.arange(12) / 12),
+        "three": np.array([0.0, 0.5, 0.9]),
+        "a metronome": 0.5 * np.arange(40.0),
+    }
+
+
+@pytest.mark.parametrize("name", _not_balls())
+def test_what_is_no_ball_is_never_ok(name: str):
+    assert tuned(_not_balls()[name]).verdict != "ok"
+
+
+def test_a_rhythm_is_named():
+    rng = np.random.default_rng(3)
+    steps = np.arange(9)
+    rhythms = {
+        "an even beat": np.cumsum(0.45 + rng.normal(0, 0.005, 9)),
+        "beats that shorten by one time each": np.cumsum(0.6 - 0.05 * steps),
+        "a tempo that grows evenly": np.cumsum(1 / (1.5 + 0.8 * steps)),
+    }
+    for name, times_s in rhythms.items():
+        assert best_rhythm(times_s, steps, 0.0).name == name
+    ball = heard_ball(impacts(9), Rig())
+    assert ball is not None
+    assert ball.rhythm[1] > np.log(1000.0)
+
+
+def test_linearly_shorter_beats_are_suspect_as_such():
+    tuning = tuned(np.cumsum(np.linspace(0.6, 0.2, 9)))
+    assert tuning.verdict == "suspect"
+    assert "a ball rather than a rhythm" in (tuning.reason or "")
+    assert "beats that shorten by one time each" in (tuning.reason or "")
+
+
+def test_no_ball_keeps_so_much():
+    tuning = tuned(np.cumsum(0.5 * 0.97 ** np.arange(12)))
+    assert tuning.verdict == "suspect"
+    assert "flights shorten as a ball's" in (tuning.reason or "")
+
+
+@pytest.mark.parametrize(
+    ("times_s", "verdict"),
+    [
+        (np.cumsum([0.0, 0.2040, 0.1715, 0.4236, 0.1193]), "rejected"),
+        (np.sort(np.append(impacts(9), 1.9)), "ok"),
+    ],
+)
+def test_a_phone_s_sheet_with_a_false_time(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    times_s: NDArray[Any],
+    verdict: str,
+):
+    pytest.importorskip("python_calamine")
+    phyphox_xlsx(tmp_path / "phone.xlsx", (times_s - times_s[0]).tolist())
+    code = main([str(tmp_path / "phone.xlsx"), "--jobs", "1", "--quiet"])
+    assert code == int(verdict == "rejected")
+    head, line, *_ = capsys.readouterr().out.splitlines()
+    assert verdict in line
+    assert re.search(r" \d impacts ", line)  # and no height
+    assert "drop" in head
+    assert "fall" not in head
+    assert " m " not in line
+    assert (tmp_path / "phone.rrd").stat().st_size > 10_000
+    chunks = list(RrdReader(tmp_path / "phone.rrd").stream())
+    assert any(chunk.timeline_names for chunk in chunks)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_random_times_are_never_ok(seed: int):
+    rng = np.random.default_rng([seed, 77])
+    assert tuned(np.cumsum(rng.exponential(0.4, 5 + seed))).verdict != "ok"
+
+
+def test_two_times_are_too_few():
+    tuning = tuned(np.array([0.0, 0.5]))
+    assert tuning.verdict == "rejected"
+    assert "2 impact times; a restitution takes 3 or more" in (tuning.reason or "")
+
+
+def test_a_hundred_thousand_times_are_bounded():
+    times_s = np.append(impacts(10), 20 + 0.01 * np.arange(100_000))
+    tuning = tuned(times_s)
+    assert tuning.seconds["total"] < 20
+    assert any("the first 60 of 100010 times" in warning for warning in tuning.warnings)
+
+
+def test_the_signal_with_the_most_times_is_used_unless_one_is_named():
+    times_s = impacts(9)
+    both = {
+        **episode_of(times_s[:4], "Simple/impacts").signals,
+        **episode_of(times_s, "All/impacts").signals,
+    }
+    episode, way = Episode(EpisodeInfo(), both), DropFromTimes()
+    assert way.claim(episode, None) == Claim.PLAINLY
+    assert way.detect(episode, Selection(), "default").topic == "All/impacts"
+    named = way.detect(episode, Selection(topic="Simple/impacts"), "default")
+    assert len(named.times_s) == 4
+    with pytest.raises(NotFoundError, match="there are: All/impacts, Simple/impacts"):
+        way.detect(episode, Selection(topic="Sound"), "default")
+
+
+def test_positions_come_first():
+    stamps_ns = np.arange(10) * 10_000_000
+    positions = Signal("/ball", stamps_ns, np.zeros((10, 3)), ("x", "y", "z"), "m")
+    episode = Episode(EpisodeInfo(), {**episode_of(impacts(5)).signals, "/ball": positions})
+    assert DropFromTimes().claim(episode, None) == Claim.PERHAPS
+
+
+def test_record_table_and_review(tmp_path: Path):
+    from analysis.review.tuning_review import write_review
+
+    tuning = tuned(np.sort(np.append(np.delete(impacts(9), 4), 1.3)))
+    record = record_of(tuning)
+    again = record_from(json.loads(to_json(record)))
+    assert again.estimates == record.estimates
+    curves = again.motion.curves
+    assert curves is not None
+    seen = curves.observed_m[np.isfinite(curves.observed_m)]
+    assert seen.tolist() == [0.0] * 7  # each impact after the first that the rollout shows
+    assert "impacts" in table([row_of(tuning, record)])
+    write_review(tuning, record, tmp_path / "times.rrd")
+    assert (tmp_path / "times.rrd").stat().st_size > 10_000
+
+
+def test_readings_of_too_few_times():
+    assert readings(np.array([0.0, 1.0]), 3) == []
+
+
+def test_made_up_balls_share_no_code_and_agree():
+    """A Runge-Kutta ball without jitter is the closed form's."""
+    rng = np.random.default_rng(2)
+    heard = next(one for one in (heard_set(rng, 0) for _ in range(50)) if len(one.times_s) > 8)
+    ball = heard_ball(heard.times_s, Rig())
+    assert ball is not None
+    assert abs(ball.values[0] - heard.restitution) < 5 * heard.bound
+
+
+@pytest.mark.slow
+def test_verdicts_on_balls_and_on_what_is_none():
+    found = verdicts(5, 12, 48)
+    assert sum(found[name]["ok"] for name in NO_BALLS) <= 2
+    many = found["balls, 6 or more"]
+    assert many["ok"] > 0.65 * many.total()
+
+
+@pytest.mark.slow
+def test_errors_and_intervals():
+    figures = {one.label: one for one in times_figures(5, 150)}
+    every = figures["all"]
+    assert every.told == every.sets
+    assert every.mae < 1.4 * every.bound
+    assert every.covered > 0.92

@@ -1,0 +1,1 @@
+"""Files of arrays, columns and records, by the names of what they hold."""

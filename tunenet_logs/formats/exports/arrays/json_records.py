@@ -1,0 +1,128 @@
+"""JSON values out of a file, one after the other, in little memory."""
+
+from __future__ import annotations
+
+import gc
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, TextIO
+
+_CHUNK = 262_144
+"""Characters read at a time."""
+
+_MOST_VALUE = 8 * 1024**2
+"""Characters of one value: a value of the worst kind is 50 times that in memory."""
+
+
+class DamagedJsonError(ValueError):
+    """What is no JSON, or too large."""
+
+
+class NumberText(str):
+    """A number with decimals as it is written: a time must not lose digits."""
+
+    __slots__ = ()
+
+
+def json_values(path: Path) -> Iterator[Any]:
+    """The values of a file: one a line, one after the other, or the items of one array.
+
+    Numbers with decimals are `NumberText`.
+
+    Raises:
+        DamagedJsonError: it is no JSON from some place on, or a value is too large.
+        OSError: it cannot be read.
+    """
+    with open(path, encoding=_encoding(path), errors="replace") as file:
+        window = _Window(file)
+        is_array = window.next_mark(" \t\r\n\ufeff") == "["
+        if is_array:
+            window.at += 1
+        while mark := window.next_mark(" \t\r\n,"):
+            if is_array and mark == "]":
+                return
+            yield window.value()
+
+
+class _Window:
+    """The part of a file that is looked at.
+
+    Attributes:
+        at: the next character, in the part.
+    """
+
+    def __init__(self, file: TextIO) -> None:
+        self.at = 0
+        self._file = file
+        self._text = file.read(_CHUNK)
+        self._decoder = json.JSONDecoder(parse_float=NumberText, parse_constant=_no_number)
+        self._count = 0
+
+    def next_mark(self, skipped: str) -> str:
+        """The next character that is none of those; "" at the end."""
+        while True:
+            text, at = self._text, self.at
+            while at < len(text) and text[at] in skipped:
+                at += 1
+            self.at = at
+            if at < len(text) or not self._grow(_CHUNK):
+                return text[at : at + 1]
+
+    def value(self) -> Any:
+        """The value that begins here; the next character is the one behind it.
+
+        Raises:
+            DamagedJsonError: there is none, or it is too large.
+        """
+        self._count += 1
+        while True:
+            try:
+                value, end = self._decoded()
+            except RecursionError as error:
+                raise DamagedJsonError(f"value {self._count} is nested too deeply") from error
+            except ValueError as error:
+                length = len(self._text) - self.at
+                if length > _MOST_VALUE or not self._grow(max(_CHUNK, length)):
+                    raise DamagedJsonError(self._why(error, length)) from error
+                continue
+            if end == len(self._text) and self._grow(_CHUNK):
+                continue  # a number may go on
+            self.at = end
+            return value
+
+    def _decoded(self) -> tuple[Any, int]:
+        """The value that begins here, and where it ends.
+
+        Millions of lists, and no circle among them: a search for circles takes most of the time.
+        """
+        was_on = gc.isenabled()
+        gc.disable()
+        try:
+            return self._decoder.raw_decode(self._text, self.at)
+        finally:
+            if was_on:
+                gc.enable()
+
+    def _grow(self, count: int) -> bool:
+        """Takes more of the file, without what is done with."""
+        more = self._file.read(count)
+        self._text, self.at = self._text[self.at :] + more, 0
+        return bool(more)
+
+    def _why(self, error: ValueError, length: int) -> str:
+        if length > _MOST_VALUE:
+            return f"value {self._count} is larger than {_MOST_VALUE >> 20} MiB, or no JSON"
+        is_json = isinstance(error, json.JSONDecodeError)
+        what = error.msg.lower() if is_json else "a number of too many digits"
+        return f"value {self._count} is no JSON ({what})"
+
+
+def _encoding(path: Path) -> str:
+    with open(path, "rb") as file:
+        return "utf-16" if file.read(2) in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
+
+
+def _no_number(_name: str) -> float:
+    """NaN and Infinity, which Python and MATLAB write: no value."""
+    return float("nan")

@@ -1,0 +1,123 @@
+"""Columns of a Parquet file, by a process that may not take much; see `parquet_child`."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from threading import Timer
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tunenet_logs.errors import LogError
+
+_CHILD = Path(__file__).with_name("parquet_child.py")
+
+_MOST_LINE = 4 * 1024**2
+"""Of what describes a file."""
+
+_MOST_BYTES = 512 * 1024**2
+"""Of one column; texts have 240 bytes each."""
+
+_LONGEST_S = 60.0
+"""What the process may wait for its disk, beside its time of reading."""
+
+
+@dataclass(frozen=True)
+class ParquetColumn:
+    """One column, perhaps within others.
+
+    Attributes:
+        name: those of what it is within joined by dots.
+        kind: "n" of numbers, "t" of times, "s" of texts, "" of what is not read.
+        width: values in each row's list; 0 of a column of single values.
+    """
+
+    name: str
+    kind: str
+    width: int
+
+
+Choose = Callable[[Sequence[ParquetColumn]], Sequence[str]]
+"""Which columns to read."""
+
+
+def parquet_columns(path: Path, choose: Choose) -> dict[str, NDArray[Any]]:
+    """The columns that are chosen, by name: shape (T,), or (T, width) of lists.
+
+    Raises:
+        LogError: `pyarrow` is not installed, or the file is damaged or too large; or `choose`
+            says so.
+    """
+    if find_spec("pyarrow") is None:
+        raise LogError(f"{path}: Parquet needs pyarrow: pip install 'tunenet-logs[tables]'")
+    child = subprocess.Popen(  # noqa: S603 (our own script, without a shell)
+        [sys.executable, "-P", str(_CHILD), str(path.absolute())],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+    )
+    timer = Timer(_LONGEST_S, child.kill)
+    timer.start()
+    try:
+        assert child.stdin is not None
+        assert child.stdout is not None
+        return _served(path, child.stdin, child.stdout, choose)
+    finally:
+        timer.cancel()
+        child.kill()
+        for stream in (child.stdin, child.stdout):
+            if stream is not None:
+                with suppress(OSError):
+                    stream.close()
+        child.wait()
+
+
+def _served(
+    path: Path, wishes: IO[bytes], answers: IO[bytes], choose: Choose
+) -> dict[str, NDArray[Any]]:
+    said = _answer(path, answers)
+    columns = [
+        ParquetColumn(name, one["kind"], one["width"]) for name, one in said["columns"].items()
+    ]
+    wanted = list(dict.fromkeys(choose(columns)))
+    with suppress(BrokenPipeError):  # its answer says why
+        wishes.write(json.dumps(wanted).encode() + b"\n")
+        wishes.flush()
+    found: dict[str, NDArray[Any]] = {}
+    for name in wanted:
+        head = _answer(path, answers)
+        dtype, shape = np.dtype(head["dtype"]), tuple(head["shape"])
+        size = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
+        if size > _MOST_BYTES:
+            raise LogError(f"{path}: Parquet column {name[:60]!r} has {size} bytes; split the file")
+        data = answers.read(size)
+        if len(data) < size:
+            raise _ended(path)
+        found[name] = np.frombuffer(data, dtype).reshape(shape)
+    return found
+
+
+def _answer(path: Path, answers: IO[bytes]) -> dict[str, Any]:
+    line = answers.readline(_MOST_LINE)
+    if not line.endswith(b"\n"):
+        raise _ended(path)
+    said = json.loads(line)
+    if "error" in said:
+        raise LogError(f"{path}: Parquet file that is not read: {said['error']}")
+    return said
+
+
+def _ended(path: Path) -> LogError:
+    """The process is gone: the system ended it."""
+    return LogError(
+        f"{path}: Parquet file that is not read: it is damaged, or takes more memory or time than "
+        "any log; write it again, in smaller files"
+    )

@@ -1,0 +1,1 @@
+"""Exports of motion capture: bodies and markers, in three dimensions."""

@@ -1,0 +1,156 @@
+"""One file of many pictures that is no video: a zip of them, or an animated WebP."""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from lzma import LZMAError
+from pathlib import Path, PurePosixPath
+
+from tunenet_logs.episode import Episode
+from tunenet_logs.errors import LogError
+from tunenet_logs.formats.exports.pictures.animated_webp import is_animated_webp, read_animated_webp
+from tunenet_logs.formats.exports.pictures.picture_bytes import MOST_BYTES
+from tunenet_logs.formats.exports.pictures.picture_film import FEWEST, PictureStore, Read, film_of
+from tunenet_logs.formats.exports.pictures.picture_series import SUFFIXES
+from tunenet_logs.formats.exports.start import Start
+from tunenet_logs.formats.read_options import ReadOptions
+
+_STARTS = (b"PK\x03\x04", b"PK\x05\x06")
+"""Of a zip with files, and of one without."""
+
+_MOST_DIRECTORY_BYTES = 8_000_000
+"""Of a zip: its list of files, with 100 bytes for each of 80,000."""
+
+_END, _END_BYTES, _END64 = b"PK\x05\x06", 22, b"PK\x06\x06"
+_LONGEST_COMMENT = 65_535
+
+_FREE_BYTES, _MOST_RATIO = 256_000_000, 100
+"""Unpacked, of a whole zip: bytes whatever its size is, and for each of its bytes."""
+
+_FREE_PIXELS, _MOST_PIXELS_A_BYTE = 100_000_000, 50
+"""Of all its pictures, whatever its size is, and for each of its bytes: a camera's have 20."""
+
+_ENCRYPTED = 0x1
+"""The bit of a zip's flags."""
+
+_UNREADABLE = (
+    zipfile.BadZipFile,
+    zlib.error,
+    LZMAError,
+    NotImplementedError,
+    RuntimeError,
+    ValueError,
+    KeyError,
+    OverflowError,
+    EOFError,
+)
+"""What `zipfile` raises of damaged and forged files."""
+
+
+def is_picture_archive(start: Start) -> bool:
+    """Whether a file is a zip that no other reader knows, or an animated WebP."""
+    return start.data.startswith(_STARTS) or is_animated_webp(start)
+
+
+def read_picture_archive(path: Path, options: ReadOptions) -> Episode:
+    """Its pictures as an episode. Nothing is unpacked to a disk.
+
+    Raises:
+        LogError: there is no film in it, it is damaged, or larger unpacked than it may be.
+        OSError: it cannot be read.
+    """
+    with open(path, "rb") as file:
+        if not file.read(4).startswith(_STARTS):
+            return read_animated_webp(path, options)
+    size = path.stat().st_size
+    names = _pictures(path, size)
+    store = PictureStore(
+        path,
+        "a zip of pictures",
+        partial(_opened, path),
+        most_pixels=_FREE_PIXELS + _MOST_PIXELS_A_BYTE * size,
+    )
+    return film_of(store, names, options)
+
+
+def _pictures(path: Path, size: int) -> list[str]:
+    """Names of its pictures.
+
+    Raises:
+        LogError: see `read_picture_archive`.
+    """
+    _check_directory(path, size)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            named = [one for one in archive.infolist() if one.filename]
+            entries = [one for one in named if not one.is_dir()]
+    except _UNREADABLE as error:
+        raise LogError(f"{path}: is a damaged zip ({error}); copy it again") from error
+    found = [one for one in entries if _is_picture(one.filename)]
+    if len(found) < FEWEST:
+        shown = ", ".join(one.filename[:60] for one in entries[:2]) or "nothing"
+        raise LogError(
+            f"{path}: is a zip without pictures (it holds {shown}); unpack it, and name the log or "
+            "video of the drop"
+        )
+    if any(one.flag_bits & _ENCRYPTED for one in found):
+        raise LogError(f"{path}: is a zip with a password; unpack it, and name the folder")
+    total = sum(one.file_size for one in found)
+    if total > _FREE_BYTES + _MOST_RATIO * size:
+        raise LogError(
+            f"{path}: is a zip of {size} bytes that unpacks to {total}, over {_MOST_RATIO} times "
+            "that; if its pictures are whole, unpack it, and name the folder"
+        )
+    return list(dict.fromkeys(one.filename for one in found))
+
+
+def _is_picture(name: str) -> bool:
+    """By its name; what macOS adds is none."""
+    parts = PurePosixPath(name)
+    hidden = parts.name.startswith(".") or "__MACOSX" in parts.parts
+    return parts.suffix.lower() in SUFFIXES and not hidden
+
+
+def _check_directory(path: Path, size: int) -> None:
+    """Refuse a zip whose list of files would fill the memory.
+
+    Raises:
+        LogError: it would, or the list is not there.
+    """
+    with open(path, "rb") as file:
+        file.seek(max(0, size - _LONGEST_COMMENT - 200))
+        tail = file.read(_LONGEST_COMMENT + 200)
+    at, at64 = tail.rfind(_END), tail.rfind(_END64)
+    if at < 0 or at + _END_BYTES > len(tail):
+        raise LogError(f"{path}: is a zip without an end; copy it again")
+    stated = int.from_bytes(tail[at + 12 : at + 16], "little")
+    if at64 >= 0:
+        stated = max(int.from_bytes(tail[at64 + 40 : at64 + 48], "little"), stated % 0xFFFFFFFF)
+    if stated > _MOST_DIRECTORY_BYTES:
+        raise LogError(
+            f"{path}: is a zip of too many files ({stated} bytes of names); unpack it, and name a "
+            "folder with the pictures of one drop"
+        )
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Read]:
+    try:
+        with zipfile.ZipFile(path) as archive:
+            yield partial(_bytes_of, archive)
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+def _bytes_of(archive: zipfile.ZipFile, name: str) -> bytes:
+    try:
+        if archive.getinfo(name).file_size > MOST_BYTES:
+            raise LogError(f"{name} is over the limit of {MOST_BYTES} bytes")
+        with archive.open(name) as file:
+            return file.read(MOST_BYTES)
+    except _UNREADABLE as error:
+        raise LogError(f"{name} is damaged ({error})") from error

@@ -1,0 +1,1 @@
+"""Tables that controllers of robots record."""

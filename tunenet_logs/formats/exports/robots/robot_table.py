@@ -1,0 +1,178 @@
+"""Tables that robots' controllers write: many columns a joint, some measured and some commanded.
+
+Universal Robots' RTDE recorder, libfranka's log and their kin.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Iterator, Sequence
+from itertools import chain, islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tunenet_logs.episode import Episode
+from tunenet_logs.errors import LogError
+from tunenet_logs.formats.exports.arrays.column_plan import ColumnPlan, plan_columns
+from tunenet_logs.formats.exports.arrays.named_columns import MOST_ROWS, check_rows, columns_episode
+from tunenet_logs.formats.exports.robots.joint_fields import joint_fields, tells_origin
+from tunenet_logs.formats.exports.start import Start
+from tunenet_logs.formats.read_options import ReadOptions
+from tunenet_logs.formats.tables.column_names import meaning_of
+from tunenet_logs.formats.tables.failures import (
+    CELLS_REMEDY,
+    DAMAGED_REMEDY,
+    NUMBER_REMEDY,
+    Failures,
+    UnreadableError,
+    unreadable,
+)
+from tunenet_logs.formats.tables.layout import MOST_COLUMNS
+from tunenet_logs.formats.tables.lines import SEPARATORS, SUFFIXES, cells_of, lines_of
+from tunenet_logs.formats.tables.meaning import TimeColumn
+from tunenet_logs.formats.tables.numbers import Numbers
+
+_LOOK_LINES = 20
+"""In which the names of the columns are looked for."""
+
+_FEWEST_JOINTS = 2
+"""Of a quantity: one column alone may be anything."""
+
+
+def is_robot_table(start: Start) -> bool:
+    """Whether a file is a table that tells measured and commanded quantities of joints apart."""
+    return start.suffix in SUFFIXES and _header(start.lines) is not None
+
+
+def read_robot_table(path: Path, options: ReadOptions) -> Episode:
+    """The measured positions, velocities and torques of a robot's joints.
+
+    Currents become torques with the user's torque constants. A controller's own model of the
+    torques, with the payload that was set in it, is never taken for a measurement.
+
+    Raises:
+        LogError: its rows cannot be read, or it holds nothing that is measured.
+        OSError: it cannot be read.
+    """
+    lines = lines_of(path)
+    first = list(islice(lines, _LOOK_LINES))
+    found = _header([line or "" for line in first])
+    if found is None:
+        raise LogError(f"{path}: the line of its columns' names is damaged; is the file whole?")
+    at, separator, names = found
+    rows = _Rows(plan_columns(path, names, options), separator)
+    rows.read(path, chain(enumerate(first[at + 1 :], at + 2), enumerate(lines, len(first) + 1)))
+    return columns_episode(
+        path, "robot's table", rows.plan, rows.arrays(path), options, losses=rows.lost
+    )
+
+
+def _header(lines: Sequence[str]) -> tuple[int, str | None, list[str]] | None:
+    """The line of the columns' names: its index, the separator, and the names."""
+    for at, line in enumerate(lines[:_LOOK_LINES]):
+        for separator in SEPARATORS:
+            text = line.lstrip("#% ")
+            names = [name.strip() for name in cells_of(text, separator)]
+            while names and not names[-1]:
+                names.pop()
+            if 3 <= len(names) <= MOST_COLUMNS and _is_robots(names):
+                return at, separator, names
+    return None
+
+
+def _is_robots(names: Sequence[str]) -> bool:
+    if not any(isinstance(meaning_of(name), TimeColumn) or name == "duration" for name in names):
+        return False
+    fields = [one for one in joint_fields(names) if len(one.columns) >= _FEWEST_JOINTS]
+    return tells_origin(fields) or any(
+        "[" in names[at] for one in fields for at in one.columns.values()
+    )
+
+
+class _Rows:
+    """The columns that are needed of a table's rows.
+
+    Attributes:
+        plan: which they are.
+        lost: what is said of rows that could not be read.
+    """
+
+    def __init__(self, plan: ColumnPlan, separator: str | None) -> None:
+        self.plan = plan
+        self.lost: list[str] = []
+        self._separator = separator
+        clocks = [plan.clock, plan.impacts, *(signal.clock for signal in plan.signals)]
+        texts = {at for clock in clocks if clock is not None for at in clock.indices}
+        texts.update(at for at in (plan.run,) if at is not None)
+        self._numbers = {at: array("d") for at in plan.needed if at not in texts}
+        self._texts: dict[int, list[str]] = {at: [] for at in texts}
+        self._failures = Failures()
+        self._count = 0
+
+    def read(self, path: Path, lines: Iterator[tuple[int, str | None]]) -> None:
+        """All rows; those that cannot be read are counted.
+
+        Raises:
+            LogError: they are too many.
+        """
+        reading: Numbers | None = None
+        for number, line in lines:
+            if line is not None and (not line.strip() or line.startswith("#")):
+                continue
+            try:
+                cells = self._cells(line)
+                reading = reading or self._reading(cells)
+                self._add(cells, reading)
+            except UnreadableError as error:
+                self._failures.add(number, error)
+            self._count += 1
+            if self._count > MOST_ROWS:
+                check_rows(path, self._count, self.plan)
+
+    def _reading(self, cells: Sequence[str]) -> Numbers:
+        """How numbers are written, by the first row."""
+        has_comma = any("," in cells[at] for at in self._numbers)
+        return Numbers(self._separator, "," if has_comma and self._separator != "," else "")
+
+    def _cells(self, line: str | None) -> list[str]:
+        if line is None:
+            raise UnreadableError("it is longer than any table's", DAMAGED_REMEDY)
+        cells, width = cells_of(line, self._separator), len(self.plan.names)
+        if len(cells) < width:
+            raise UnreadableError(f"it has {len(cells)} of {width} cells", DAMAGED_REMEDY)
+        if any(cell.strip() for cell in cells[width:]):
+            raise UnreadableError(f"it has {len(cells)} cells, the header {width}", CELLS_REMEDY)
+        return cells
+
+    def _add(self, cells: Sequence[str], reading: Numbers) -> None:
+        values: dict[int, float] = {}
+        for at in self._numbers:
+            try:
+                values[at] = reading.read(cells[at])
+            except ValueError as why:
+                raise unreadable(self.plan.names[at], cells[at], why, NUMBER_REMEDY) from None
+        for at, value in values.items():
+            self._numbers[at].append(value)
+        for at, texts in self._texts.items():
+            cell = cells[at].strip()
+            texts.append(cell.replace(",", ".") if reading.decimal == "," else cell)
+
+    def arrays(self, path: Path) -> dict[int, NDArray[Any]]:
+        """The columns by their index.
+
+        Raises:
+            LogError: no row, or too few of them, can be read.
+        """
+        if len(self._failures) == self._count:
+            raise LogError(f"{path}: {self._failures.nothing(self._count)}")
+        if why := self._failures.refusal(self._count):
+            raise LogError(f"{path}: {why}")
+        if self._failures:
+            self.lost.append(self._failures.lost(self._count))
+        found: dict[int, NDArray[Any]] = {
+            at: np.frombuffer(values, np.float64) for at, values in self._numbers.items()
+        }
+        return found | {at: np.array(texts, object) for at, texts in self._texts.items()}

@@ -1,0 +1,1 @@
+"""Spreadsheets and the exports of sensors and phones."""

@@ -1,0 +1,67 @@
+"""Runs of a physics lab's sensors, side by side in one table, each with its own times.
+
+PASCO Capstone names columns "Position (m) Run #1"; Vernier Logger Pro and Graphical Analysis name
+them "Latest: Position (m)", "Run 1: Position (m)" or "Data Set 1:Position(m)".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from tunenet_logs.episode import Episode
+from tunenet_logs.errors import LogError
+from tunenet_logs.formats.csv_table import read_csv
+from tunenet_logs.formats.exports.start import Start, start_of
+from tunenet_logs.formats.read_options import ReadOptions
+from tunenet_logs.formats.tables.column_names import meaning_of
+from tunenet_logs.formats.tables.lines import SEPARATORS, SUFFIXES, cells_of
+from tunenet_logs.formats.tables.meaning import CoordinateColumn, JointColumn, TimeColumn
+from tunenet_logs.formats.tables.offers import short_list
+from tunenet_logs.formats.tables.run_names import without_run
+
+_MOST_BEFORE = 20
+"""Lines before the names."""
+
+_MOST_COLUMNS = 200
+"""Looked at for a run's name."""
+
+
+def is_sensor_runs(start: Start) -> bool:
+    """Whether a file is one: a table that names the run of a time."""
+    return start.suffix in SUFFIXES and bool(_names(start))
+
+
+def read_sensor_runs(path: Path, options: ReadOptions) -> Episode:
+    """A signal for each run of each position.
+
+    Raises:
+        LogError: it holds no positions, or see `read_csv`.
+    """
+    names = [without_run(name) for name in _names(start_of(path))]
+    meanings = [meaning_of(name) for _, name in names]
+    if not options.columns and not any(
+        isinstance(one, CoordinateColumn | JointColumn) for one in meanings
+    ):
+        pairs = zip(names, meanings, strict=True)
+        others = dict.fromkeys(name for (_, name), one in pairs if not isinstance(one, TimeColumn))
+        runs = len({run for run, _ in names if run})
+        raise LogError(
+            f"{path}: is a sensor's export of {runs} {'run' if runs == 1 else 'runs'} without "
+            f"positions (it holds {short_list(list(others)) or 'times alone'}); record the drop "
+            "with a motion sensor, or name a column of heights, as in --columns t=1,z=2"
+        )
+    episode = read_csv(path, options)
+    return replace(episode, info=replace(episode.info, source=f"sensor's export {path.name}"))
+
+
+def _names(start: Start) -> Sequence[str]:
+    """The names of the columns, the first of which with a run is a time; none of another file."""
+    for line in start.lines[:_MOST_BEFORE]:
+        for separator in SEPARATORS[:-1]:
+            cells = cells_of(line, separator) if separator and separator in line else []
+            marked = [without_run(cell.strip()) for cell in cells[:_MOST_COLUMNS]]
+            if any(run and isinstance(meaning_of(name), TimeColumn) for run, name in marked):
+                return [cell.strip() for cell in cells[:_MOST_COLUMNS]]
+    return []

@@ -1,0 +1,47 @@
+"""How a file begins, by which its layout is known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+_BYTES = 65536
+"""Looked at of a file."""
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """The first bytes of a file.
+
+    Attributes:
+        path: of the file.
+        data: up to 64 KiB.
+    """
+
+    path: Path
+    data: bytes
+
+    @property
+    def suffix(self) -> str:
+        """Of the file's name, in small letters, with the dot."""
+        return self.path.suffix.lower()
+
+    @cached_property
+    def lines(self) -> tuple[str, ...]:
+        """As text, the last one perhaps cut; none of a binary file."""
+        if self.data.startswith((b"\xff\xfe", b"\xfe\xff")):
+            return tuple(self.data.decode("utf-16", "replace").splitlines())
+        if b"\0" in self.data:
+            return ()
+        return tuple(self.data.decode("utf-8-sig", "replace").splitlines())
+
+
+def start_of(path: Path) -> Start:
+    """How a file begins.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    with open(path, "rb") as file:
+        return Start(path, file.read(_BYTES))

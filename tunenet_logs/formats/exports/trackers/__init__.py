@@ -1,0 +1,1 @@
+"""Exports of programs that track things in videos."""

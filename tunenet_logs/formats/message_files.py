@@ -1,0 +1,74 @@
+"""Files of messages by how they begin, and the same compressed as a whole."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Protocol
+
+from tunenet_logs.errors import LogError
+from tunenet_logs.formats.base import Loss, Record
+from tunenet_logs.formats.compression import Budget
+from tunenet_logs.formats.database import MAGIC as DB3_MAGIC
+from tunenet_logs.formats.mcap_container import MAGIC as MCAP_MAGIC
+from tunenet_logs.formats.mcap_container import read_mcap
+from tunenet_logs.formats.packed_file import compression_of, unpacked
+from tunenet_logs.formats.ros1_bag import MAGIC as BAG_MAGIC
+from tunenet_logs.formats.ros1_bag import read_bag
+from tunenet_logs.formats.ros2_db3 import read_db3
+
+_START_BYTES = 16
+"""Of a file, by which it is known."""
+
+
+class MessageFile(Protocol):
+    """Reads one kind of file: a `Container`."""
+
+    def __call__(
+        self,
+        path: Path,
+        losses: list[Loss],
+        topics: Sequence[str] | None = None,
+        budget: Budget | None = None,
+    ) -> Iterator[Record]:
+        """As `Container` says.
+
+        Args:
+            path: the file.
+            losses: filled on the way.
+            topics: give only messages of these; None for all.
+            budget: what may be unpacked of it yet, where it was itself unpacked from a file.
+        """
+        ...
+
+
+_READERS: dict[bytes, MessageFile] = {
+    MCAP_MAGIC: read_mcap,
+    BAG_MAGIC: read_bag,
+    DB3_MAGIC: read_db3,
+}
+"""By the first bytes."""
+
+
+def message_file(start: bytes) -> MessageFile | None:
+    """What reads a file of messages that begins like this; None where it is none."""
+    return next((read for magic, read in _READERS.items() if start.startswith(magic)), None)
+
+
+def read_packed(
+    path: Path, losses: list[Loss], topics: Sequence[str] | None = None
+) -> Iterator[Record]:
+    """The records of a file of messages that was compressed as a whole; see `Container`."""
+    with open(path, "rb") as file:
+        compression = compression_of(file.read(_START_BYTES))
+    if not compression:
+        raise LogError(f"{path}: is not compressed in a way that is read")
+    with unpacked(path, compression, losses) as (inside, budget):
+        with open(inside, "rb") as file:
+            read = message_file(file.read(_START_BYTES))
+        if read is None:
+            raise LogError(f"{path}: holds no MCAP log and no bag")
+        try:
+            yield from read(inside, losses, topics, budget)
+        except LogError as error:
+            raise LogError(str(error).replace(str(inside), str(path))) from error

@@ -1,0 +1,213 @@
+"""Files that were compressed as a whole: unpacked, bounded, to a file that is gone afterwards."""
+
+from __future__ import annotations
+
+import bz2
+import shutil
+import tempfile
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import lz4.frame
+import zstandard
+
+from tunenet_logs.errors import LogError
+from tunenet_logs.formats.base import Loss, described
+from tunenet_logs.formats.compression import ZSTD_MAGIC, Budget
+
+_READ_BYTES = 2048
+"""Fed at a time: of zstd without a bound on what comes of it, which is 64 MiB at most then."""
+
+_PIECE_BYTES = 1024 * 1024
+"""Unpacked at a time, where that can be bounded."""
+
+_MOST_WINDOW_BYTES = 128 * 1024 * 1024
+"""What zstd may look back; its own default."""
+
+MOST_FOREIGN_BYTES = 1024**3
+"""Unpacked of a file of no messages; none is read that is larger."""
+
+_FREE_SHARE = 0.9
+"""Of the room of the system's folder for such files."""
+
+_UNPACKERS = {
+    ZSTD_MAGIC: "zstd",
+    b"\x1f\x8b\x08": "gzip",
+    b"BZh": "bzip2",
+    b"\x04\x22\x4d\x18": "lz4",
+}
+"""Kinds of compression, by the first bytes of a file."""
+
+SUFFIXES = (".zstd", ".zst", ".gz", ".bz2", ".lz4")
+"""Of such files, behind what they are when unpacked."""
+
+_ERRORS = (
+    zstandard.ZstdError,
+    zlib.error,
+    RuntimeError,
+    OSError,
+    ValueError,
+    EOFError,
+    MemoryError,
+)
+"""What the libraries raise on damaged data."""
+
+
+class _CutError(Exception):
+    """Why unpacking ended before the end."""
+
+
+def compression_of(start: bytes) -> str:
+    """How a file that begins like this is compressed as a whole: "zstd", "gzip", ..., or ""."""
+    return next((kind for magic, kind in _UNPACKERS.items() if start.startswith(magic)), "")
+
+
+def unpacked_name(path: Path) -> str:
+    """The name of what is inside: "drop.mcap.zst" holds drop.mcap."""
+    return path.stem if path.suffix.lower() in SUFFIXES and path.stem else path.name
+
+
+def unpacked_start(path: Path, compression: str, most: int) -> bytes:
+    """How what is inside begins; as much as can be unpacked, `most` bytes at most.
+
+    Raises:
+        OSError: the file cannot be read.
+    """
+    plain = bytearray()
+    try:
+        for piece in _pieces(path, compression):
+            plain += piece
+            if len(plain) >= most:
+                break
+    except _CutError:
+        pass  # what came before is whole
+    return bytes(plain[:most])
+
+
+@contextmanager
+def unpacked(
+    path: Path, compression: str, losses: list[Loss], most_bytes: int | None = None
+) -> Iterator[tuple[Path, Budget]]:
+    """The file inside, as far as it can be unpacked, and how much more may be unpacked of it.
+
+    Args:
+        path: the packed file; neither it nor its folder is changed.
+        compression: as `compression_of` says.
+        losses: what is noted of damage.
+        most_bytes: unpacked, whatever the size of the packed file.
+
+    Raises:
+        LogError: nothing can be unpacked, it is more than a log may hold, or there is no room.
+        OSError: the disk fails.
+    """
+    budget = Budget(path.stat().st_size)
+    with tempfile.TemporaryDirectory(prefix="tunenet-logs-") as folder:
+        plain = Path(folder) / unpacked_name(path)
+        written = _unpack(path, compression, plain, budget, losses, most_bytes)
+        if not written:
+            raise LogError(
+                f"{path}: nothing of its {compression} data can be unpacked; copy it again"
+            )
+        yield plain, budget
+
+
+def _unpack(
+    path: Path,
+    compression: str,
+    plain: Path,
+    budget: Budget,
+    losses: list[Loss],
+    most_bytes: int | None,
+) -> int:
+    """Bytes written.
+
+    Raises:
+        LogError, OSError: see `unpacked`.
+    """
+    room = int(_FREE_SHARE * shutil.disk_usage(plain.parent).free)
+    written = 0
+    try:
+        with open(plain, "wb") as file:
+            for piece in _pieces(path, compression):
+                budget.spend(len(piece))
+                written += len(piece)
+                if most_bytes is not None and written > most_bytes:
+                    raise LogError(
+                        f"{path}: unpacks to over {most_bytes >> 20} MiB, the limit; split it"
+                    )
+                if written > room:
+                    raise LogError(
+                        f"{path}: unpacks to more than there is room in {plain.parent.parent}; "
+                        "make room, or set TMPDIR to a folder that has it"
+                    )
+                file.write(piece)
+    except ValueError as error:
+        raise LogError(
+            f"{path}: {error}, which no recording does; if you trust it, unpack it first"
+        ) from error
+    except _CutError as cut:
+        what = f"its {compression} data is {cut}; what precedes that was read"
+        losses.append(Loss(what, size=written))
+    return written
+
+
+def _pieces(path: Path, compression: str) -> Iterator[bytes]:
+    """What is inside, piece by piece.
+
+    Raises:
+        _CutError: the data is damaged or ends too early; all that precedes it came.
+        OSError: the disk fails.
+    """
+    begin, feed = _KINDS[compression]
+    stream, waiting = begin(), b""
+    with open(path, "rb") as file:
+        while data := waiting or file.read(_READ_BYTES):
+            if stream.eof:  # several may lie one behind the other
+                if not any(data):
+                    waiting = b""
+                    continue  # padding
+                stream = begin()
+            pieces = feed(stream, data)
+            while True:
+                try:
+                    piece = next(pieces, None)
+                except _ERRORS as error:
+                    raise _CutError(f"damaged ({described(error)})") from error
+                if piece is None:
+                    break
+                yield piece
+            waiting = stream.unused_data if stream.eof else b""
+    if not stream.eof:
+        raise _CutError("cut, as of a copy that was broken off")
+
+
+def _feed_zstd(stream: Any, data: bytes) -> Iterator[bytes]:
+    yield stream.decompress(data)
+
+
+def _feed_gzip(stream: Any, data: bytes) -> Iterator[bytes]:
+    while data and not stream.eof:
+        yield stream.decompress(data, _PIECE_BYTES)
+        data = stream.unconsumed_tail
+
+
+def _feed_others(stream: Any, data: bytes) -> Iterator[bytes]:
+    yield stream.decompress(data, _PIECE_BYTES)
+    while not (stream.eof or stream.needs_input):
+        yield stream.decompress(b"", _PIECE_BYTES)
+
+
+def _zstd() -> Any:
+    return zstandard.ZstdDecompressor(max_window_size=_MOST_WINDOW_BYTES).decompressobj()
+
+
+_KINDS: dict[str, tuple[Callable[[], Any], Callable[[Any, bytes], Iterator[bytes]]]] = {
+    "zstd": (_zstd, _feed_zstd),
+    "gzip": (lambda: zlib.decompressobj(31), _feed_gzip),
+    "bzip2": (bz2.BZ2Decompressor, _feed_others),
+    "lz4": (lz4.frame.LZ4FrameDecompressor, _feed_others),
+}
+"""What begins a stream of each kind, and what feeds it."""

@@ -1,0 +1,312 @@
+"""ROS messages of any type, decoded by the definition that their log carries: nothing is compiled.
+
+A type becomes a tree of functions, each of which reads one part. What a message makes of them is
+bounded by its own bytes: a type whose parts hold no bytes is refused.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tunenet_logs.formats.base import (
+    DAMAGED,
+    BeyondLimitError,
+    Decode,
+    MessageError,
+    UnusableError,
+    described,
+)
+from tunenet_logs.formats.ros_definitions import RosField, RosTypes
+from tunenet_logs.formats.structure import Listed, Node, Plain, Structure
+
+_MOST_DEPTH = 24
+"""Of types within types."""
+
+_MOST_NODES = 5000
+"""Parts of one message, lists of any length aside."""
+
+_MOST_PARTS = 20_000
+"""Messages in the lists of one message."""
+
+_BYTES_BEHIND = 3
+"""That may follow a message: some writers fill up to four."""
+
+_TIMES = {"time": "I", "duration": "i"}
+"""Of ROS 1, and what their seconds are."""
+
+Read = Callable[[bytes, int], tuple[Any, int]]
+"""Reads a part at a place; gives it, and the place behind it."""
+
+
+class Message:
+    """A message, or a part of one, with its fields as attributes."""
+
+
+@dataclass(frozen=True)
+class _Part:
+    """How a part of a type is read, and what it is.
+
+    Attributes:
+        least: bytes that it takes at least.
+        nodes: parts that it is made of.
+        codes: of a part of numbers alone, what `struct` calls them.
+        names: of these numbers.
+    """
+
+    node: Node
+    read: Read
+    least: int
+    nodes: int = 1
+    codes: str = ""
+    names: tuple[str, ...] = ()
+
+
+def any_ros_type(
+    types: RosTypes, name: str, *, is_ros1: bool
+) -> tuple[Structure, Callable[[bytes | memoryview], Any]]:
+    """What a type is made of, and how its messages are decoded.
+
+    Args:
+        types: with all that it is made of.
+        name: of the type, in full.
+        is_ros1: whether the messages are of ROS 1; else CDR of ROS 2.
+
+    Raises:
+        UnusableError: the definition is not complete, or makes no sense.
+    """
+    part = _Type(types, is_ros1=is_ros1, order="<").part(name)
+    assert isinstance(part.node, Structure)
+    if is_ros1:
+        return part.node, _decoder(name, part.read)
+    backward: list[Read] = []  # big-endian is rare: not built before a message is
+
+    def decode(data: bytes | memoryview) -> Any:
+        if len(data) < 4 or data[0] or data[1] > 1:
+            raise MessageError(f"a {name} message is damaged: it is no plain CDR")
+        if data[1]:
+            return little(data)
+        if not backward:
+            backward.append(_Type(types, is_ros1=False, order=">").part(name).read)
+        return _decoder(name, backward[0], 4)(data)
+
+    little = _decoder(name, part.read, 4)
+    return part.node, decode
+
+
+def _decoder(name: str, read: Read, begin: int = 0) -> Decode:
+    def decode(data: bytes | memoryview) -> Any:
+        try:
+            bare = bytes(data[begin:])
+            message, end = read(bare, 0)
+            if not 0 <= len(bare) - end <= _BYTES_BEHIND:
+                raise ValueError(f"{len(bare) - end} bytes follow it")
+        except BeyondLimitError:
+            raise
+        except DAMAGED as error:
+            raise MessageError(f"a {name} message is damaged: {described(error)}") from error
+        return message
+
+    return decode
+
+
+class Rows(Sequence[Message]):
+    """Parts of numbers alone, such as points: taken apart only when asked for."""
+
+    def __init__(self, rows: NDArray[np.void], names: tuple[str, ...]) -> None:
+        self._rows = rows
+        self._names = names
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def __getitem__(self, at: Any) -> Any:
+        return _message(self._names, self._rows[at].item())
+
+    def __iter__(self) -> Iterator[Message]:
+        if len(self) > _MOST_PARTS:
+            raise BeyondLimitError(f"over {_MOST_PARTS} parts")
+        return (_message(self._names, row) for row in self._rows.tolist())
+
+
+def _message(names: Sequence[str], values: Sequence[Any]) -> Message:
+    made = Message()
+    made.__dict__.update(zip(names, values, strict=True))
+    return made
+
+
+class _Type:
+    """Builds the functions of a type, and of those that it is made of."""
+
+    def __init__(self, types: RosTypes, *, is_ros1: bool, order: str) -> None:
+        self._types = types
+        self._is_ros1 = is_ros1
+        self._order = order
+        self._known: dict[str, _Part] = {}
+        self._open: list[str] = []
+
+    def part(self, name: str) -> _Part:
+        """The type of a name."""
+        if name in self._known:
+            return self._known[name]
+        if name not in self._types:
+            raise UnusableError(f"its definition does not say what {name[:60]!r} is")
+        if name in self._open or len(self._open) >= _MOST_DEPTH:
+            raise UnusableError("its definition has types within types without end")
+        self._open.append(name)
+        part = self._structure(name, self._types[name])
+        self._open.pop()
+        self._known[name] = part
+        return part
+
+    def _structure(self, name: str, fields: Sequence[RosField]) -> _Part:
+        if not fields and not self._is_ros1:  # an empty message takes a byte in ROS 2
+            fields = (RosField("structure_needs_at_least_one_member", "B"),)
+        parts = [self._field(field) for field in fields]
+        nodes = 1 + sum(part.nodes for part in parts)
+        if nodes > _MOST_NODES:
+            raise UnusableError(f"its definition has over {_MOST_NODES} parts")
+        least = sum(part.least for part in parts)
+        names = tuple(field.name for field in fields)
+        if len(set(names)) < len(names):
+            raise UnusableError("its definition has two fields of one name")
+        structure = Structure(name, dict(zip(names, (part.node for part in parts), strict=True)))
+        steps = self._steps(fields, parts)
+        codes = "".join(field.kind for field in fields) if len(steps) == 1 else ""
+        is_bare = bool(codes) and all(field.kind in _SIZES and field.count < 0 for field in fields)
+
+        def read(data: bytes, at: int) -> tuple[Any, int]:
+            values: list[Any] = []
+            for step in steps:
+                found, at = step(data, at)
+                values += found
+            return _message(names, values), at
+
+        return _Part(structure, read, least, nodes, codes if is_bare else "", names)
+
+    def _steps(self, fields: Sequence[RosField], parts: Sequence[_Part]) -> list[Read]:
+        """Functions that give lists of values; numbers side by side are read at once."""
+        steps: list[Read] = []
+        run = ""
+        for field, part in zip(fields, parts, strict=True):
+            is_number = field.count < 0 and field.kind in _SIZES
+            same = self._is_ros1 or not run or (is_number and _SIZES[run[0]] == _SIZES[field.kind])
+            if run and not (is_number and same):
+                steps.append(self._numbers(run))
+                run = ""
+            if is_number:
+                run += field.kind
+            else:
+                steps.append(_one(part.read))
+        return [*steps, self._numbers(run)] if run else steps
+
+    def _numbers(self, codes: str) -> Read:
+        layout = struct.Struct(self._order + codes)
+        unpack, size = layout.unpack_from, layout.size
+        mask = 0 if self._is_ros1 else _SIZES[codes[0]] - 1
+
+        def read(data: bytes, at: int) -> tuple[Any, int]:
+            at = (at + mask) & ~mask
+            return unpack(data, at), at + size
+
+        return read
+
+    def _field(self, field: RosField) -> _Part:
+        part = self._one(field.kind)
+        if field.count < 0:
+            return part
+        if field.count * max(part.least, 1) > 2**31 or not part.least:
+            raise UnusableError("its definition has lists of nothing, or without end")
+        node = Listed(part.node, field.count or None)
+        least = field.count * part.least if field.count else 4
+        if codes := field.kind if field.kind in _SIZES else part.codes:
+            return _Part(node, self._table(codes, part.names, field.count), least)
+        nodes = max(field.count, 1) * part.nodes
+        return _Part(node, self._many(part, field.count), least, nodes)
+
+    def _one(self, kind: str) -> _Part:
+        if kind in _SIZES:
+            node = Plain.FLAG if kind == "?" else Plain.NUMBER if kind in "fd" else Plain.WHOLE
+            numbers = self._numbers(kind)
+
+            def read(data: bytes, at: int) -> tuple[Any, int]:
+                found, at = numbers(data, at)
+                return found[0], at
+
+            return _Part(node, read, _SIZES[kind])
+        if kind == "string":
+            return _Part(Plain.TEXT, self._text, 4)
+        if kind in _TIMES and self._is_ros1:
+            fields = (RosField("sec", _TIMES[kind]), RosField("nanosec", "I"))
+            return self._structure(f"builtin_interfaces/msg/{kind.title()}", fields)
+        return self.part(kind)
+
+    def _length(self, data: bytes, at: int) -> tuple[int, int]:
+        if not self._is_ros1:
+            at = (at + 3) & ~3
+        return struct.unpack_from(f"{self._order}I", data, at)[0], at + 4
+
+    def _text(self, data: bytes, at: int) -> tuple[str, int]:
+        count, at = self._length(data, at)
+        end = at + count
+        if end > len(data):
+            raise ValueError(f"a text claims {count} bytes")
+        last = end if self._is_ros1 else max(end - 1, at)
+        return data[at:last].decode("utf-8", "replace"), end
+
+    def _table(self, codes: str, names: tuple[str, ...], count: int) -> Read:
+        """A list of numbers, or of parts of numbers alone, which is not taken apart yet."""
+        kinds: Any = [(name, self._order + code) for name, code in zip(names, codes, strict=False)]
+        dtype = np.dtype(kinds if names else self._order + codes)
+        size = dtype.itemsize
+        mask = 0 if self._is_ros1 else _SIZES[codes[0]] - 1
+
+        def read(data: bytes, at: int) -> tuple[Any, int]:
+            number = count
+            if not count:
+                number, at = self._length(data, at)
+            if number:
+                at = (at + mask) & ~mask
+            end = at + number * size
+            if end > len(data):
+                raise ValueError(f"a list claims {number} parts")
+            found = np.frombuffer(data, dtype, number, at) if number else np.empty(0, dtype)
+            return (Rows(found, names) if names else found), end
+
+        return read
+
+    def _many(self, part: _Part, count: int) -> Read:
+        one, least = part.read, part.least
+
+        def read(data: bytes, at: int) -> tuple[Any, int]:
+            number = count
+            if not count:
+                number, at = self._length(data, at)
+            if number * least > len(data) - at:
+                raise ValueError(f"a list claims {number} parts")
+            if number > _MOST_PARTS:
+                raise BeyondLimitError(f"over {_MOST_PARTS} parts")
+            found = []
+            for _ in range(number):
+                value, at = one(data, at)
+                found.append(value)
+            return found, at
+
+        return read
+
+
+def _one(read: Read) -> Read:
+    def read_one(data: bytes, at: int) -> tuple[Any, int]:
+        value, at = read(data, at)
+        return (value,), at
+
+    return read_one
+
+
+_SIZES: Mapping[str, int] = {code: struct.calcsize(f"<{code}") for code in "?bBhHiIqQfd"}
+"""Bytes of numbers, by what `struct` calls them."""

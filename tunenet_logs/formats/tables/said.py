@@ -1,0 +1,132 @@
+"""What a user says of a table's columns with `--columns`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+
+from tunenet_logs.formats.tables.column_names import meaning_of
+from tunenet_logs.formats.tables.meaning import (
+    CoordinateColumn,
+    FrameColumn,
+    ImpactColumn,
+    JointColumn,
+    Meaning,
+    Reading,
+    RunColumn,
+    TimeColumn,
+    UnusedColumn,
+)
+from tunenet_logs.formats.tables.units import unit_behind
+
+CLOCKS = ("t", "frame", "times")
+"""What tells when; one of them is enough."""
+
+_AXES = {"x": 0, "y": 1, "z": 2}
+"""Of targets that are coordinates."""
+
+_UNSAID = UnusedColumn("--columns does not name it")
+"""The meaning of all others."""
+
+
+def contradiction_of(columns: Mapping[str, str]) -> str:
+    """Why `--columns` cannot be meant so; "" where it can."""
+    clocks = [one for one in CLOCKS if one in columns]
+    if len(clocks) > 1:
+        return f"--columns says {clocks[0]} and {clocks[1]}; say one of them"
+    if "times" in columns and len(columns) > 1:
+        return "--columns says times, which are impacts, and other columns; say times alone"
+    return ""
+
+
+def is_name(place: str, names: Sequence[str]) -> bool:
+    """Whether a column is called so."""
+    return _named(place, names) is not None
+
+
+def places_of(columns: Mapping[str, str], names: Sequence[str]) -> tuple[dict[int, str], list[str]]:
+    """What the columns are, by their indices, and those that are not among them.
+
+    Args:
+        columns: by what they are: names, or numbers from 1.
+        names: of the table's columns.
+    """
+    found: dict[int, str] = {}
+    missing: list[str] = []
+    for target, place in columns.items():
+        at = _named(place, names)
+        if at is None and re.fullmatch(r"[1-9]\d{0,3}", place, re.ASCII):
+            at = int(place) - 1 if int(place) <= len(names) else None
+        if at is None:
+            missing.append(place)
+        else:
+            found[at] = target
+    return found, missing
+
+
+def _named(place: str, names: Sequence[str]) -> int | None:
+    place = place.strip()
+    stripped = [name.strip() for name in names]
+    if place in stripped:
+        return stripped.index(place)
+    folded, wanted = [name.casefold() for name in stripped], place.casefold()
+    if wanted in folded:
+        return folded.index(wanted)
+    without = [re.sub(r"\s*[(\[][^()\[\]]*[)\]]$", "", name) for name in folded]
+    return without.index(wanted) if without.count(wanted) == 1 else None
+
+
+def said_reading(places: Mapping[int, str]) -> Reading:
+    """What columns mean by what a user says of them.
+
+    Where that is a clock, all others are none; where it is values, none of the others is.
+
+    Args:
+        places: what they are, by index.
+
+    Returns:
+        A reading, which raises ValueError where a column's unit is none of what it is said to be.
+    """
+    targets = set(places.values())
+    has_clock = not targets.isdisjoint(CLOCKS)
+    has_values = "times" in targets or not targets.issubset(CLOCKS)
+
+    def read(at: int, name: str) -> Meaning:
+        if at in places:
+            return _meaning_as(places[at], name)
+        found = meaning_of(name)
+        if isinstance(found, RunColumn | UnusedColumn):
+            return found
+        is_clock = isinstance(found, TimeColumn | FrameColumn)
+        return _UNSAID if (has_clock if is_clock else has_values) else found
+
+    return read
+
+
+def _meaning_as(target: str, name: str) -> Meaning:
+    """What a column means that is said to be so; its name may tell the unit."""
+    if target == "frame":
+        return FrameColumn()
+    unit = unit_behind(name)
+    if target in _AXES:
+        found = meaning_of(f"{target} ({unit})" if unit else target)
+        if isinstance(found, CoordinateColumn):
+            return found
+    elif target in ("t", "times"):
+        found = meaning_of(f"t ({unit})" if unit else "t")
+        own = meaning_of(name)
+        if target == "times" and isinstance(own, FrameColumn):
+            return ImpactColumn(0, counts_frames=True)
+        if not unit and isinstance(own, TimeColumn):
+            found = TimeColumn(own.power)
+        if isinstance(found, TimeColumn):
+            return ImpactColumn(found.power) if target == "times" else found
+    else:
+        quantity, _, number = target.partition("_")
+        found = meaning_of(f"joint{number}_{quantity}" + (f" ({unit})" if unit else ""))
+        if isinstance(found, JointColumn):
+            return found
+    raise ValueError(
+        f"--columns says that {name[:60]!r} is {target}, but it is in {unit[:40]!r}, which is no "
+        "unit of that"
+    )

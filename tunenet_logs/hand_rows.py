@@ -1,0 +1,275 @@
+"""The fields of one topic that its user names, gathered message by message."""
+
+from __future__ import annotations
+
+import re
+from array import array
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tunenet_logs.episode import Signal
+from tunenet_logs.errors import LogError
+from tunenet_logs.formats.any_messages import AnyType, Steps, structure_of
+from tunenet_logs.formats.base import RawChannel
+from tunenet_logs.formats.by_shape import stamp_steps, unit_of
+from tunenet_logs.formats.exports.build import frame_stamps, position_signal
+from tunenet_logs.formats.message_types import time_ns
+from tunenet_logs.formats.read_options import ReadOptions
+from tunenet_logs.formats.structure import (
+    NUMBERS,
+    NotThereError,
+    Structure,
+    likely_field,
+    node_at,
+    numbers_in,
+)
+from tunenet_logs.timestamp_correction import order_samples, sorted_stamps
+
+IMPACTS = "impacts"
+"""The signal of times of impacts."""
+
+AXES = ("x", "y", "z")
+_QUANTITIES = {"position": "rad", "velocity": "rad/s", "effort": "N·m", "current": "A"}
+"""Of joints, and their units."""
+
+_STAMPS = ("t", "frame", "times")
+"""What is a time, or counts as one."""
+
+_STEP = re.compile(r"\.?([^.\[\]]+)|\[(\d{1,6})\]")
+_SHOWN = 8
+"""Topics or fields that a message lists."""
+
+_TICKS_NS = (1e9, 1e6, 1e3, 1.0)
+"""Nanoseconds in what a number may count: s, ms, µs, ns."""
+
+_MOST_NS = 2.0**62
+_CLOSE = 3.0
+"""How much longer or shorter a span may be than on the log's own clock, to be the same."""
+
+
+def listed(names: Sequence[str]) -> str:
+    """Some of them, and how many more there are."""
+    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+    return (", ".join(names[:_SHOWN]) or "none") + more
+
+
+@dataclass
+class _Column:
+    """What one field has delivered."""
+
+    get: Callable[[Any], Any]
+    is_time: bool
+    values: list[float] | array[float]
+
+
+class HandRows:
+    """The fields of one topic that are named; see `_ROWS` of the reader.
+
+    Args:
+        path: the log.
+        channel: of the topic.
+        picks: what each target is, behind the topic's name.
+        kind: how its messages are read.
+
+    Raises:
+        LogError: a field is not there.
+    """
+
+    def __init__(
+        self, path: Path, channel: RawChannel, picks: Mapping[str, str], kind: AnyType
+    ) -> None:
+        self.topic = channel.topic
+        self.targets = tuple(picks)
+        self.decode = kind.decode
+        self._path = path
+        self._type_name = channel.type_name
+        self._picks = picks
+        self._kind = kind
+        self._columns: dict[str, _Column] | None = None
+        self._stamp: Callable[[Any], Any] | None = None
+        self._log_ns = array("q")
+        self._header_ns = array("q")
+        if kind.structure is not None:
+            self._resolve(kind.structure)
+
+    def _resolve(self, top: Structure) -> None:
+        self._columns = {}
+        for target, rest in self._picks.items():
+            if rest or target != "times":
+                get, is_time = self._field(top, target, rest)
+                values: Any = array("d") if target not in _STAMPS else []
+                self._columns[target] = _Column(get, is_time, values)
+        if steps := stamp_steps(top):
+            self._stamp = self._kind.getter(steps)
+
+    def _field(self, top: Structure, target: str, rest: str) -> tuple[Callable[[Any], Any], bool]:
+        steps: Steps = tuple(
+            int(match[2]) if match[2] else match[1] for match in _STEP.finditer(rest)
+        )
+        why = ""
+        try:
+            node = node_at(top, steps)
+            is_time = isinstance(node, Structure) and node.is_time
+            if node in NUMBERS or (is_time and target in _STAMPS):
+                return self._kind.getter(steps), is_time
+            why = "is no number" if steps else "is a whole message"
+        except NotThereError as error:
+            why = f"has no {error}"
+        numbers = numbers_in(top)
+        likely = f"{target}={self.topic}.{likely_field(numbers)}" if numbers else ""
+        raise LogError(
+            f"{self._path}: --columns {target}={self.topic}{rest[:80]} {why}; of {self.topic} "
+            f"there are: {listed(numbers)}" + (f"; write --columns {likely}" if likely else "")
+        )
+
+    def add(self, log_ns: int, message: Any) -> None:
+        """One message.
+
+        Raises:
+            LogError: a field is not there.
+            ValueError, TypeError, AttributeError: it makes no sense.
+        """
+        if self._columns is None:
+            self._resolve(structure_of(message))
+        assert self._columns is not None
+        row: list[Any] = []
+        for column in self._columns.values():
+            try:
+                value = column.get(message)
+            except LookupError:  # a list is shorter, a part is absent
+                value = None
+            if column.is_time and value is not None:
+                value = time_ns(value)
+            row.append(float("nan") if value is None else value)
+        header_ns = time_ns(self._stamp(message)) if self._stamp is not None else 0
+        row = [value if isinstance(value, int) else float(value) for value in row]
+        self._header_ns.append(header_ns)
+        self._log_ns.append(log_ns)
+        for column, value in zip(self._columns.values(), row, strict=True):
+            column.values.append(value)
+
+    def signals(self, options: ReadOptions) -> tuple[list[Signal], list[str]]:
+        """What the fields hold, and what was repaired."""
+        if not len(self._log_ns) or self._columns is None:
+            return [], []
+        log_ns = np.frombuffer(self._log_ns, np.int64)
+        header_ns = np.frombuffer(self._header_ns, np.int64)
+        found: list[Signal] = []
+        notes: list[str] = []
+        if "times" in self.targets:
+            impacts, repairs = self._impacts(header_ns, log_ns)
+            found.append(impacts)
+            notes += [f"{IMPACTS}: {repair}" for repair in repairs]
+        keep, stamps_ns, counts, repairs = self._stamps(header_ns, log_ns, options)
+        notes += [f"{self.topic}: {repair}" for repair in repairs]
+        if any(axis in self._columns for axis in AXES):
+            values = np.zeros((len(log_ns), 3))
+            for at, axis in enumerate(AXES):
+                if axis in self._columns:
+                    values[:, at] = self._columns[axis].values
+            unit = unit_of(self._type_name)
+            if options.length_unit:  # goes before what a type says: someone looked
+                unit = ""
+            signal, more = position_signal(
+                self.topic, stamps_ns, values[keep], unit, options, counts_frames=counts
+            )
+            found.append(signal)
+            notes += more
+        for quantity, unit in _QUANTITIES.items():
+            joints = self._joints(quantity)
+            if joints:
+                signal = self._joint_signal(quantity, unit, joints, keep, stamps_ns, options)
+                found.append(signal)
+        return [signal for signal in found if len(signal.stamps_ns)], notes
+
+    def _joints(self, quantity: str) -> list[int]:
+        return sorted(
+            int(target.rpartition("_")[2])
+            for target in self.targets
+            if target.startswith(f"{quantity}_")
+        )
+
+    def _joint_signal(
+        self,
+        quantity: str,
+        unit: str,
+        joints: Sequence[int],
+        keep: NDArray[np.intp],
+        stamps_ns: NDArray[np.int64],
+        options: ReadOptions,
+    ) -> Signal:
+        assert self._columns is not None
+        values = np.column_stack([self._columns[f"{quantity}_{one}"].values for one in joints])
+        values = values[keep]
+        values[~np.isfinite(values)] = np.nan
+        if quantity == "current" and options.torque_constants:
+            if len(options.torque_constants) != len(joints):
+                raise LogError(
+                    f"{self._path}: --torque-constants has {len(options.torque_constants)} "
+                    f"numbers for {len(joints)} currents; give one for each"
+                )
+            quantity, unit = "effort", "N·m"
+            values = values * np.array(options.torque_constants)
+        names = tuple(f"joint{one}" for one in joints)
+        return Signal(f"{self.topic}.{quantity}", stamps_ns, values, names, unit)
+
+    def _stamps(
+        self, header_ns: NDArray[np.int64], log_ns: NDArray[np.int64], options: ReadOptions
+    ) -> tuple[NDArray[np.intp], NDArray[np.int64], bool, list[str]]:
+        """Which messages to keep, their stamps, whether these count frames, what was repaired."""
+        assert self._columns is not None
+        given = self._columns.get("t") or self._columns.get("frame")
+        if given is None:
+            keep, stamps_ns, notes = order_samples(header_ns, log_ns)
+            return keep, stamps_ns, False, notes
+        counts = False
+        if "t" in self._columns:
+            own_ns, usable = _as_ns(given, log_ns)
+        else:
+            frames = np.array(given.values, np.float64)
+            usable = np.flatnonzero(np.abs(frames) < 2**40)
+            own_ns, counts = frame_stamps(frames[usable], None, options)
+        keep, stamps_ns, notes = sorted_stamps(own_ns)
+        return usable[keep], stamps_ns, counts, notes
+
+    def _impacts(
+        self, header_ns: NDArray[np.int64], log_ns: NDArray[np.int64]
+    ) -> tuple[Signal, list[str]]:
+        assert self._columns is not None
+        if "times" in self._columns:
+            own_ns, _ = _as_ns(self._columns["times"], log_ns)
+            _, stamps_ns, notes = sorted_stamps(own_ns)
+        else:
+            _, stamps_ns, notes = order_samples(header_ns, log_ns)
+        return Signal(IMPACTS, stamps_ns, np.ones((len(stamps_ns), 1)), ("impact",), "1"), notes
+
+
+def _as_ns(
+    column: _Column, log_ns: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
+    """Stamps [ns] of a field, and which messages have one.
+
+    What a number counts is told by the log's own clock; seconds where that tells nothing.
+    """
+    usable = [at for at, value in enumerate(column.values) if abs(value) < _MOST_NS]
+    values: Iterable[float] = [column.values[at] for at in usable]
+    tick = 1.0 if column.is_time else _tick_ns(list(values), log_ns)
+    stamps = [
+        value * int(tick) if isinstance(value, int) else round(value * tick) for value in values
+    ]
+    inside = [at for at, stamp in enumerate(stamps) if abs(stamp) < _MOST_NS]
+    own_ns = np.array([stamps[at] for at in inside], np.int64)
+    return own_ns, np.array([usable[at] for at in inside], np.intp)
+
+
+def _tick_ns(values: Sequence[float], log_ns: NDArray[np.int64]) -> float:
+    span, heard_ns = (float(max(values) - min(values)) if values else 0.0), float(np.ptp(log_ns))
+    if not span or not heard_ns:
+        return _TICKS_NS[0]
+    best = min(_TICKS_NS, key=lambda tick: abs(np.log(span * tick / heard_ns)))
+    return best if 1 / _CLOSE < span * best / heard_ns < _CLOSE else _TICKS_NS[0]
