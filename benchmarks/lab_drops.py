@@ -25,6 +25,9 @@ _REST_M_S = 0.03
 _AFTER_S, _LONGEST_S = 0.6, 7.0
 """How long a ball is seen at rest, and how long a recording is at most."""
 
+VERDICTS = ("ok", "suspect", "rejected")
+"""In the order of the tables."""
+
 
 @dataclass(frozen=True, eq=False)
 class LabDrop:

@@ -25,7 +25,7 @@ from tqdm import tqdm
 from analysis.record import Tuning
 from analysis.selection import Options
 from analysis.tuning import tune_log
-from benchmarks.lab_drops import LabDrop, hand_waved, random_drop, still
+from benchmarks.lab_drops import VERDICTS, LabDrop, hand_waved, random_drop, still
 from benchmarks.lab_layouts import LAYOUTS, OF_BODIES, Written, write_layout, write_plain
 
 _SEEDS = 23_000_000
@@ -154,7 +154,7 @@ def table_of(outcomes: Sequence[Outcome]) -> str:
     ]
     for layout in [*dict.fromkeys(sorted(one.layout for one in outcomes)), "all"]:
         those = [one for one in outcomes if layout in ("all", one.layout)]
-        counts = [sum(one.verdict == word for one in those) for word in _VERDICTS]
+        counts = [sum(one.verdict == word for one in those) for word in VERDICTS]
         apart = [one.apart for one in those if not np.isnan(one.apart)] or [np.nan]
         wrong = sum("WRONG" in words for one in those for words in one.failures)
         plain = sum(one.plain == "ok" for one in those)
@@ -163,9 +163,6 @@ def table_of(outcomes: Sequence[Outcome]) -> str:
             f"{np.median(apart):13.4f} {max(apart):7.3f} {wrong:12}"
         )
     return "\n".join(lines)
-
-
-_VERDICTS = ("ok", "suspect", "rejected")
 
 
 def main() -> None:

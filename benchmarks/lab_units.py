@@ -27,7 +27,7 @@ from analysis.record import record_of
 from analysis.record_json import to_json
 from analysis.selection import Options
 from analysis.tuning import tune_episode, tune_log
-from benchmarks.lab_drops import LabDrop, random_drop
+from benchmarks.lab_drops import VERDICTS, LabDrop, random_drop
 from tests.export_writers import oriented
 from tests.strangers import write_poses
 from tunenet_logs.arrays import Array
@@ -213,7 +213,7 @@ def table_of(answers: Sequence[Answer]) -> str:
         those = [one for one in answers if name in ("all", one.kind)]
         if not those:
             continue
-        counts = [sum(one.verdict == word for one in those) for word in _VERDICTS]
+        counts = [sum(one.verdict == word for one in those) for word in VERDICTS]
         off = np.array([one.off for one in those if not np.isnan(one.off)] or [np.nan])
         held = [one.held for one in those if one.held is not None]
         speeds = sum(not np.isnan(one.speed_off) for one in those)
@@ -228,9 +228,6 @@ def table_of(answers: Sequence[Answer]) -> str:
             f"{wrong[1]:14} {wrong[2]:8}"
         )
     return "\n".join(lines)
-
-
-_VERDICTS = ("ok", "suspect", "rejected")
 
 
 def main() -> None:

@@ -13,8 +13,6 @@ import pytest
 
 from tests.conftest import Command, real
 from tests.recorders.mjpeg_camera import number_in, picture
-from tunenet_logs.episode import FRAME_NS
-from tunenet_logs.formats.read_options import ReadOptions
 from tunenet_logs.formats.video import open_video
 from tunenet_logs.images import image_size
 from tunenet_logs.reader import read_episode
@@ -315,48 +313,3 @@ def test_a_cut_where_pictures_need_others_begins_at_the_first_whole_one(tmp_path
     assert [number_in(frame.decode()) for frame in frames] == list(range(6, 30))
     assert episode.channels[0].messages == len(frames)
     assert "its first 3 pictures need others that were cut off" in episode.warnings
-
-
-BARE = {"a.h264": "libx264", "a.h265": "libx265", "a.y4m": "wrapped_avframe"}
-
-
-@pytest.mark.parametrize("name", BARE)
-def test_a_stream_without_a_container_is_read_at_the_rate_said(tmp_path: Path, name: str):
-    path = tmp_path / name
-    options = {"x265-params": "log-level=none"} if name == "a.h265" else {}
-    with av.open(str(path), "w") as container:
-        stream: Any = container.add_stream(BARE[name], rate=60, options=options)
-        (stream.width, stream.height), stream.pix_fmt = SIZE, "yuv420p"
-        for number in range(20):
-            container.mux(
-                stream.encode(av.VideoFrame.from_ndarray(numbered(number), format="rgb24"))
-            )
-        container.mux(stream.encode())
-    for rate_hz in (None, 240.0):
-        episode = read_episode(path, ReadOptions(rate_hz=rate_hz))
-        frames = list(episode.frames())
-        assert [number_in(frame.decode()) for frame in frames] == list(range(20))
-        stamps_ns = np.array([frame.stamp_ns for frame in frames])
-        assert np.allclose(np.diff(stamps_ns), 1e9 / (rate_hz or 60), atol=2)  # its header's
-
-
-def test_a_stream_without_any_rate_counts_frames(command: Command, tmp_path: Path):
-    path = tmp_path / "a.mjpeg"
-    path.write_bytes(b"".join(picture(number) for number in range(20)))
-    episode = read_episode(path)
-    assert episode.frames_untimed
-    assert episode.info.notes["rate_hz"] == "unknown"
-    assert [frame.stamp_ns for frame in episode.frames()] == [n * FRAME_NS for n in range(20)]
-    assert not read_episode(path, ReadOptions(rate_hz=50)).frames_untimed
-    result = command("tunenet-record", "--camera", path, "-o", tmp_path / "a.mcap")
-    assert result.returncode == 1
-    assert "add --fps" in result.stderr
-
-
-def test_the_rate_said_goes_before_uneven_stamps(tmp_path: Path):
-    path = write_video(tmp_path / "a.mp4", UNEVEN)
-    episode = read_episode(path, ReadOptions(rate_hz=100))
-    assert [frame.stamp_ns for frame in episode.frames()] == [
-        10_000_000 * number for number in range(len(UNEVEN))
-    ]
-    assert "100 pictures a second were said" in episode.warnings[0]

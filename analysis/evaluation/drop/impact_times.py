@@ -40,9 +40,6 @@ JITTERS_S = (0.0005, 0.001, 0.002)
 _FEWEST, _MOST = 5, 12
 """Impacts that are heard."""
 
-_BIN = 5
-"""Impacts of a set that is `few`."""
-
 
 @dataclass(frozen=True, eq=False)
 class HeardSet:
