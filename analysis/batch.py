@@ -17,7 +17,7 @@ from analysis.processes import Piece, parallel_map
 from analysis.record import Provenance, Tuning, record_of
 from analysis.record_json import to_json
 from analysis.report import Row, row_of
-from analysis.result_files import PARTIAL, check_own, log_sha256, replacing
+from analysis.result_files import check_own, log_sha256, replacing
 from analysis.review.tuning_review import write_review
 from analysis.selection import Options, Selection
 from analysis.tuning import tune_log
@@ -25,6 +25,7 @@ from tunenet_logs.commandline import print_traceback
 from tunenet_logs.errors import LogError, UsageError, WeightsError
 from tunenet_logs.formats.registry import is_folder
 from tunenet_logs.output.log_place import ACTIVE_SUFFIX
+from tunenet_logs.regular_file import real_path
 from tunenet_logs.terminal import Progress
 
 
@@ -72,7 +73,7 @@ def tune_all(
     Raises:
         UsageError: the options fit no log at all, or two logs would write the same results.
     """
-    logs = list({log.resolve(): log for log in logs}.values())
+    logs = list({real_path(log): log for log in logs}.values())
     pieces = [Piece(_OneLog(*pair)) for pair in zip(logs, _names(logs, folder), strict=True)]
     work = partial(_tuned_and_written, options=options, overwrite=overwrite)
     lost = partial(_lost, options=options)
@@ -124,7 +125,7 @@ def _tuned_and_written(work: _OneLog, options: Options, *, overwrite: bool) -> R
     except (OSError, UnicodeError) as error:  # the latter for a name that Rerun cannot take
         place, why = work.name.parent, "its name is not UTF-8"
         if isinstance(error, OSError):
-            place, why = str(error.filename or place).removesuffix(PARTIAL), error.strerror
+            place, why = error.filename or place, error.strerror
         trouble = f"{place}: cannot be written ({why}); choose another folder with -o"
         return Result(row, None, trouble)
     return Result(row, review)
@@ -173,7 +174,7 @@ def _results(name: Path) -> tuple[Path, Path]:
 
 def _name(log: Path, folder: Path | None) -> Path:
     """That of one log: a file's without its suffix; a folder's is its own, and beside it."""
-    log = log.resolve() if log.name in ("", "..") else log
+    log = real_path(log) if log.name in ("", "..") else log
     name = os.fsencode(log.name).decode(errors="replace") or "log"
     stem = name if is_folder(log) else name.removesuffix(ACTIVE_SUFFIX).rsplit(".", 1)[0]
     return (folder or log.parent) / (stem or name)
@@ -184,7 +185,7 @@ def _names(logs: Sequence[Path], folder: Path | None) -> list[Path]:
     names = [_name(log, folder) for log in logs]
     taken = Counter(names)
     names = [
-        name.with_name(f"{log.resolve().parent.name}_{name.name}") if taken[name] > 1 else name
+        name.with_name(f"{real_path(log).parent.name}_{name.name}") if taken[name] > 1 else name
         for log, name in zip(logs, names, strict=True)
     ]
     first: dict[Path, Path] = {}
@@ -195,10 +196,10 @@ def _names(logs: Sequence[Path], folder: Path | None) -> list[Path]:
                 f"{other} and {log} would both write {_results(name)[0]}; "
                 "tune them one by one, each with a folder of its own (-o DIR)"
             )
-    inputs = {log.resolve() for log in logs}
+    inputs = {real_path(log) for log in logs}
     for name in names:
         for path in _results(name):
-            if path.resolve() in inputs:
+            if real_path(path) in inputs:
                 raise UsageError(
                     f"{path}: is a log, and would be replaced by results; choose -o DIR"
                 )

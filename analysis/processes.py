@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -13,6 +12,8 @@ from multiprocessing import active_children, get_context
 from typing import Generic, TypeVar
 
 from tunenet_logs.commandline import BLAS_THREADS
+from tunenet_logs.starting import heard, is_silent, silence_libraries
+from tunenet_logs.stopping import signals_held
 from tunenet_logs.terminal import Progress
 
 Item = TypeVar("Item")
@@ -74,7 +75,7 @@ def parallel_map(
                 done(at, work(piece.item))
             return list(results.values())
         with _pool(jobs) as pool:
-            with _interrupts_blocked():  # this process ends its workers, quietly
+            with signals_held(), heard():  # this process ends its workers, quietly
                 futures = {pool.submit(work, piece.item): at for at, piece in enumerate(pieces)}
             for future in as_completed(futures):
                 died = isinstance(future.exception(), BrokenProcessPool)
@@ -83,8 +84,10 @@ def parallel_map(
         for at, piece in enumerate(pieces):  # a process that dies takes its pool with it
             if lost is not None and at not in results:
                 with _pool(1) as pool:
+                    with signals_held(), heard():
+                        future = pool.submit(work, piece.item)
                     try:
-                        done(at, pool.submit(work, piece.item).result())
+                        done(at, future.result())
                     except BrokenProcessPool:
                         done(at, lost(piece.item))
     return [results[at] for at in range(len(pieces))]
@@ -98,7 +101,8 @@ def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
     """
     before = {name: os.environ.get(name) for name in BLAS_THREADS}
     os.environ.update(dict.fromkeys(BLAS_THREADS, "1"))
-    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"))
+    quiet = silence_libraries if is_silent() else None
+    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=quiet)
     try:
         yield pool
     except BaseException:
@@ -113,13 +117,3 @@ def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
             else:
                 os.environ[name] = value
     pool.shutdown()
-
-
-@contextmanager
-def _interrupts_blocked() -> Iterator[None]:
-    """What is started here never sees Ctrl-C; this process does, as soon as it may."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -24,15 +24,19 @@ from analysis.motion import (
 from analysis.record import Estimate, Interval, Provenance, Rebound, Record
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import LogError
-from tunenet_logs.terminal import one_line
+from tunenet_logs.small_files import parse_json, read_small_file
+from tunenet_logs.terminal import short_name
 
 Value = TypeVar("Value")
 
 _TIME_DECIMALS, _HEIGHT_DECIMALS = 5, 4
 """Of a time [s] and a height [m]: a tenth of a millimetre, and the time it takes to fall so far."""
 
-_MOST_BYTES = 20_000_000
-"""Of a file that may be a record: a thousand times what one takes."""
+_MOST_BYTES = 4_000_000
+"""Of a file that may be a record: several times one with the longest curves."""
+
+_MOST_CHARACTERS = 200
+"""Of what is wrong with a file, as it is told."""
 
 _FARTHEST = 1e6
 """[m] and [s] from zero: no curve of an experiment goes farther."""
@@ -137,25 +141,27 @@ def read_record(path: Path) -> Record:
         LogError: it cannot be read, is something else, or has a value that no tuning has.
     """
     try:
-        with path.open("rb") as file:
-            data = file.read(_MOST_BYTES + 1)
-        fields = json.loads(data) if len(data) <= _MOST_BYTES else None
+        fields = parse_json(read_small_file(path, _MOST_BYTES))
     except OSError as error:
         raise LogError(
             f"{path}: cannot be read ({error.strerror}); give a tuning's .json"
         ) from error
-    except (ValueError, RecursionError) as error:
-        why = one_line(error)
-        message = f"{path}: is no JSON ({why}); give the .json that tunenet-tune wrote"
+    except ValueError as error:
+        why = short_name(error, _MOST_CHARACTERS)
+        message = f"{path}: is no JSON of a tuning ({why}); give the .json that tunenet-tune wrote"
         raise LogError(message) from error
     if not isinstance(fields, dict) or not {"verdict", "parameters"} <= fields.keys():
         raise LogError(f"{path}: is no tuning; give the .json that tunenet-tune wrote")
     try:
         return record_from(fields)
     except LookupError as error:
-        raise LogError(f"{path}: {one_line(error)} is missing in it; tune the log again") from error
-    except (ValueError, TypeError, AttributeError, RecursionError) as error:
-        raise LogError(f"{path}: {one_line(error)}; tune the log again") from error
+        raise LogError(
+            f"{path}: {short_name(error)} is missing in it; tune the log again"
+        ) from error
+    except (ValueError, TypeError, AttributeError, ArithmeticError) as error:
+        raise LogError(
+            f"{path}: {short_name(error, _MOST_CHARACTERS)}; tune the log again"
+        ) from error
 
 
 def record_from(fields: Mapping[str, Any]) -> Record:
@@ -165,7 +171,7 @@ def record_from(fields: Mapping[str, Any]) -> Record:
         ValueError, TypeError, LookupError, AttributeError: a value that no tuning has.
     """
     if fields["verdict"] not in get_args(Verdict):
-        raise ValueError(f"verdict {one_line(fields['verdict'])} is none")
+        raise ValueError(f"verdict {short_name(fields['verdict'])} is none")
     cross, provenance = fields.get("cross_check"), fields.get("provenance")
     iterations = [dict(step) for step in fields.get("iterations") or ()]
     return Record(
@@ -241,7 +247,7 @@ def _number(name: str, value: Any) -> float:
         ValueError: it is none.
     """
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ValueError(f"{name} {one_line(value)} is no finite number")
+        raise ValueError(f"{short_name(name)} {short_name(value)} is no finite number")
     return float(value)
 
 

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from analysis.record_json import read_record
 from tunenet_logs.errors import LogError, UsageError
+from tunenet_logs.regular_file import open_regular
 
-PARTIAL = ".partial"
+_PARTIAL = ".partial"
 
 _HEADER_BYTES = 4096
 """Of a recording for Rerun, in which its names stand."""
@@ -21,13 +23,27 @@ _OWN_DIGITS = 32
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Write to a file beside `path` that takes its name once it is whole."""
-    partial = path.with_name(path.name + PARTIAL)
+    """Write to a file beside `path`, this process's own, that takes its name once it is whole.
+
+    Raises:
+        OSError: it cannot be written; it names `path`.
+    """
+    partial = _partial(path)
+    partial.unlink(missing_ok=True)  # be it a pipe, which would wait, or a link to another file
     try:
         yield partial
         partial.replace(path)
+    except OSError as error:
+        if error.filename == str(partial):
+            error.filename = str(path)
+        raise
     finally:
         partial.unlink(missing_ok=True)
+
+
+def _partial(path: Path) -> Path:
+    """Where this process writes first: another one that writes the same results has another."""
+    return path.with_name(f"{path.name}.{os.getpid()}{_PARTIAL}")
 
 
 def check_writable(path: Path, option: str) -> None:
@@ -40,9 +56,10 @@ def check_writable(path: Path, option: str) -> None:
         raise UsageError(f"{path}: is a folder; give {option} a file")
     if not path.parent.is_dir():
         raise UsageError(f"{path.parent}: no such folder; create it, or give {option} another file")
-    partial = path.with_name(path.name + PARTIAL)
+    partial = _partial(path)
     try:
-        partial.write_bytes(b"")
+        partial.unlink(missing_ok=True)
+        partial.open("xb").close()
         partial.unlink()
     except OSError as error:
         raise UsageError(
@@ -57,10 +74,11 @@ def log_sha256(log: Path) -> str:
         OSError: it cannot be read, or is neither file nor folder.
     """
     if not log.is_dir():
-        if log.exists() and not log.is_file():
-            raise OSError(f"{log} is no file")  # reading a pipe would wait for ever
-        with log.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+        try:
+            with open_regular(log) as file:
+                return hashlib.file_digest(file, "sha256").hexdigest()
+        except LogError as error:
+            raise OSError(str(error)) from error
     state = hashlib.sha256()
     for path in sorted(log.iterdir()):
         if path.is_file():
@@ -99,6 +117,6 @@ def check_own(results: Path, review: Path, log: Path, sha256: str) -> None:
             named = named if record.log == log.name else record.log
             raise LogError(f"{results}: is the tuning of {named}, not of {log} as it is; {choose}")
     elif review.exists():
-        with review.open("rb") as file:
+        with open_regular(review) as file:
             if review_name(sha256).encode() not in file.read(_HEADER_BYTES):
                 raise LogError(f"{review}: exists, and is no review of {log.name}; {choose}")

@@ -13,6 +13,7 @@ import numpy as np
 from analysis.checks import judge, log_checks
 from analysis.estimators.base import Estimator, Problem, Setup, Step, Trace
 from analysis.experiment import Experiment, Preset
+from analysis.plausible import plausible
 from analysis.record import Tuning
 from analysis.registry import experiments_of, kinds, kinds_in, method_named
 from analysis.selection import Options
@@ -20,6 +21,7 @@ from analysis.tunenet.checkpoint import load_model, shipped_model
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import LogError, NotFoundError, TuneNetError, UsageError
+from tunenet_logs.one_clock import on_one_clock
 from tunenet_logs.reader import read_episode
 
 
@@ -46,7 +48,7 @@ def tune_log(path: Path, options: Options) -> Tuning:
     """
     watch = Stopwatch()
     try:
-        episode = read_episode(path, options.reading)
+        episode = plausible(read_episode(path, options.reading))
     except TuneNetError as error:
         watch.lap("read")
         reason = str(error).removeprefix(f"{path}: ")
@@ -59,6 +61,7 @@ def tune_episode(
     episode: Episode, options: Options, path: Path = Path(), watch: Stopwatch | None = None
 ) -> Tuning:
     """Tune from an episode in memory, as `tune_log` does from a file."""
+    episode = on_one_clock(episode)
     topic = options.selection.topic
     kind = options.task or episode.info.kind
     if not kind:

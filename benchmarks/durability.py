@@ -2,8 +2,8 @@
 
 `python -m benchmarks.durability` records a camera at 60 Hz (640 x 480 JPEG) and an arm at 1 kHz
 (seven joints) in processes of their own, and ends them at random moments: 100 with SIGKILL, 60
-each with SIGINT and SIGTERM. Every file is read back, every message compared with what its number
-says. Pictures fill chunks quickly; so 30 recordings of the arm alone are killed too.
+each with SIGINT, SIGTERM and SIGHUP. Every file is read back, every message compared with what its
+number says. Pictures fill chunks quickly; so 30 recordings of the arm alone are killed too.
 `--kills`, `--signals` and `--seed` change that.
 """
 
@@ -80,7 +80,9 @@ def end_many(
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--kills", type=int, default=100)
-    parser.add_argument("--signals", type=int, default=60, help="of SIGINT and of SIGTERM each")
+    parser.add_argument(
+        "--signals", type=int, default=60, help="of SIGINT, SIGTERM and SIGHUP each"
+    )
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
     rng = random.Random(arguments.seed)
@@ -98,7 +100,7 @@ def main() -> int:
             f"95 % {np.quantile(ms, 0.95):.0f} ms, worst {ms.max():.0f} ms",
             flush=True,
         )
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         bad, _ = end_many(number, arguments.signals, rng)
         total_bad += bad
         print(f"{number.name} {arguments.signals} times: {bad} bad files", flush=True)

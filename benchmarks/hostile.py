@@ -1,38 +1,60 @@
-"""What small files that claim much cost: seconds and memory of a whole process, and what it says.
+"""What small files that claim much cost every command: CPU, memory, and how it ends.
 
-`python -m benchmarks.hostile` makes each of them, and gives it to `tunenet-tune` and to
-`tunenet-logs check`.
+`python -m benchmarks.hostile` makes each of them, and gives it to `tunenet-logs info`, `check` and
+`recover` and to `tunenet-tune`, each in a process of its own; `--only NAME ...` makes some.
 """
 
 from __future__ import annotations
 
-import subprocess
+import argparse
 import sys
 import tempfile
-import time
+from collections.abc import Callable
 from pathlib import Path
 
-from tests.hostile import BOMBS, LAUNCHER
+from tests import definition_bombs, export_bombs, hostile, work_bombs
 
 BIN = Path(sys.executable).parent
-COMMANDS = (("tunenet-tune",), ("tunenet-logs", "check"))
+COMMANDS = {
+    "info": ("tunenet-logs", "info", "{}"),
+    "check": ("tunenet-logs", "check", "{}"),
+    "recover": ("tunenet-logs", "recover", "{}", "-o", "saved.mcap", "--overwrite"),
+    "tune": ("tunenet-tune", "{}", "-o", "tuned", "--overwrite"),
+}
+SUFFIXES = {"empty_lines": ".csv"}
+"""Of files that are known by their names."""
+
+
+def _made(bomb: Callable[[Path], Path | None], folder: Path) -> Path:
+    """The file, made by a function that is given its path, or a folder for it."""
+    if bomb in export_bombs.BOMBS:
+        path = bomb(folder)
+        assert path is not None
+        return path
+    path = folder / f"bomb{SUFFIXES.get(bomb.__name__, '.mcap')}"
+    bomb(path)
+    return path
 
 
 def main() -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        log = Path(folder) / "bomb.mcap"
-        for bomb in BOMBS:
-            bomb(log)
-            for command, *rest in COMMANDS:
-                start = time.perf_counter()
-                words = [sys.executable, "-c", LAUNCHER, str(BIN / command), *rest, log.name]
-                done = subprocess.run(
-                    words, check=False, cwd=folder, capture_output=True, text=True
+    every = (*hostile.BOMBS, *work_bombs.BOMBS, *definition_bombs.BOMBS, *export_bombs.BOMBS)
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--only", nargs="+", choices=[bomb.__name__ for bomb in every])
+    only = parser.parse_args().only
+    for bomb in every:
+        if only and bomb.__name__ not in only:
+            continue
+        with tempfile.TemporaryDirectory() as name:
+            path = _made(bomb, Path(name))
+            size = path.stat().st_size if path.is_file() else 0
+            for command, (program, *words) in COMMANDS.items():
+                line = [str(BIN / program), *(word.format(path.name) for word in words)]
+                told = hostile.spent(line, Path(name))
+                print(
+                    f"{bomb.__name__}, {size} bytes, {command}: {told.cpu_s:.2f} s of CPU, "
+                    f"{told.peak_kib / 1024:.0f} MiB, exit code {told.code}",
+                    flush=True,
                 )
-                took = time.perf_counter() - start
-                peak_mib = int(done.stderr.rpartition("peak ")[2]) / 1024
-                what = f"{bomb.__name__}, {log.stat().st_size} bytes, {' '.join((command, *rest))}"
-                print(f"{what}: {took:.2f} s, {peak_mib:.0f} MiB, exit code {done.returncode}")
 
 
 if __name__ == "__main__":

@@ -4,18 +4,32 @@ from __future__ import annotations
 
 import json
 import math
+import secrets
+import socket
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from hmac import compare_digest
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, Protocol
+
+from recorders.deadline import Deadline, with_deadline
 
 _MAX_BODY_BYTES = 1024
 """Of a request: the page sends a few numbers."""
 
 _DRAINED_BYTES = 64 * 1024
 """Of a body that is too long: with less taken, the sender might not hear the answer."""
+
+_REQUEST_SECONDS = 10.0
+"""For all of a request, and for a viewer to take what it is sent: beyond that, it is gone."""
+
+_MOST_VIEWERS = 32
+"""At the same time; a page needs three. Others are turned away, so that no threads pile up."""
+
+_SECRET_BYTES = 16
+"""In a page's address: other users of this machine can connect, but cannot guess it."""
 
 _LOOK_SECONDS = 0.1
 """Between two looks whether the server is to end: closing it waits for the next one."""
@@ -24,6 +38,7 @@ _HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "default-src 'none'; img-src 'self'; connect-src 'self'; "
     "style-src 'unsafe-inline'; script-src 'unsafe-inline'; frame-ancestors 'none'",
+    "Referrer-Policy": "no-referrer",
     "Cross-Origin-Resource-Policy": "same-origin",
     "X-Content-Type-Options": "nosniff",
 }
@@ -47,6 +62,9 @@ class Answer:
     then: Callable[[], object] | None = None
 
 
+_NO_PAGE = Answer(404, "text/plain", b"no such page\n")
+
+
 class Site(Protocol):
     """What a page shows and takes. It is asked from several threads at once."""
 
@@ -63,15 +81,15 @@ class LoopbackPage:
     """Serves a site on 127.0.0.1 alone, at a port that was free, until `close`.
 
     Attributes:
-        url: where it is.
+        url: where it is; with a secret, so that whoever knows it was told.
     """
 
     def __init__(self, site: Site) -> None:
-        handler = type("_BoundHandler", (_Handler,), {"site": site})
-        self._server = ThreadingHTTPServer(("127.0.0.1", 0), handler)
-        self._server.daemon_threads = True
+        secret = secrets.token_urlsafe(_SECRET_BYTES)
+        handler = type("_BoundHandler", (_Handler,), {"site": site, "secret": secret})
+        self._server = _Server(("127.0.0.1", 0), handler)
         port = self._server.server_port
-        self.url = f"http://127.0.0.1:{port}/"
+        self.url = f"http://127.0.0.1:{port}/{secret}/"
         handler.hosts = (f"127.0.0.1:{port}", f"localhost:{port}")
         serve = self._server.serve_forever
         threading.Thread(target=serve, args=(_LOOK_SECONDS,), daemon=True).start()
@@ -95,35 +113,73 @@ def place_in(body: Mapping[str, Any]) -> tuple[float, float] | None:
     return None
 
 
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True  # a viewer does not hold up the end of the command
+
+    def __init__(self, place: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
+        super().__init__(place, handler)
+        self._free = threading.BoundedSemaphore(_MOST_VIEWERS)
+
+    def get_request(self) -> tuple[socket.socket, Any]:
+        """A caller, who has so long for all of what it asks."""
+        caller, place = super().get_request()
+        kind = with_deadline(socket.socket, Deadline(_REQUEST_SECONDS, _REQUEST_SECONDS))
+        return kind(fileno=caller.detach()), place
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Answer in a thread, if there are not too many."""
+        if self._free.acquire(blocking=False):
+            super().process_request(request, client_address)
+        else:
+            self.shutdown_request(request)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """Answer, and let the next one in."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._free.release()
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Standard error is for the command; a caller that breaks off is no error."""
+
+
 class _Handler(BaseHTTPRequestHandler):
     site: Site
+    secret: str
     hosts: tuple[str, ...]
-    timeout = 10  # a viewer that takes nothing for so long [s] is gone
 
     def log_message(self, format: str, *_words: object) -> None:  # noqa: A002
         """Standard error is for the command."""
 
     def do_GET(self) -> None:
         """Show what the site has there."""
-        if self._is_ours():
-            nothing = Answer(404, "text/plain", b"no such page\n")
-            self._send(self.site.get(self.path) or nothing)
+        if (path := self._path()) is not None:
+            self._send(self.site.get(path) or _NO_PAGE)
 
     def do_POST(self) -> None:
         """Hand the site what was pressed or clicked."""
-        if self._is_ours():
+        if (path := self._path()) is not None:
             nothing = Answer(400, "text/plain", b"that is nothing that can be done here\n")
             body = self._body()
-            self._send((None if body is None else self.site.post(self.path, body)) or nothing)
+            self._send((None if body is None else self.site.post(path, body)) or nothing)
 
-    def _is_ours(self) -> bool:
-        """Refuse what another site's page asks for, be it under a host name of its own."""
+    def _path(self) -> str | None:
+        """What is asked for behind the secret; None for what was refused.
+
+        That is what another site's page asks for, be it under a host name of its own, and what
+        anybody asks for who was not told the secret.
+        """
         origins = [f"http://{host}" for host in self.hosts]
         origin = self.headers.get("Origin")
         if self.headers.get("Host") in self.hosts and origin in (None, *origins):
-            return True
+            _, secret, rest = (*self.path.split("/", 2), "", "")[:3]
+            if compare_digest(secret.encode(errors="replace"), self.secret.encode()):
+                return f"/{rest}"
+            self._send(_NO_PAGE)
+            return None
         self._send(Answer(403, "text/plain", b"this page is for this machine alone\n"))
-        return False
+        return None
 
     def _body(self) -> dict[str, Any] | None:
         """The JSON object that was sent, {} for nothing; None for anything else, or too much."""

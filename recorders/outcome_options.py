@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tunenet_logs.commandline import number, whole
 from tunenet_logs.errors import LogError, UsageError
+from tunenet_logs.regular_file import real_path
+from tunenet_logs.small_files import parse_json, read_small_file
 from tunenet_logs.terminal import one_line, short_name
 
 if TYPE_CHECKING:
@@ -26,8 +27,14 @@ _TASK = "bounce-shot"
 _MOST_LETTERS = 1000
 """Of a text or path: it is one line of a table later."""
 
-_MOST_TUNING_BYTES = 64 * 1024**2
+_MOST_TUNING_BYTES = 4_000_000
 """Far more than a tuning's JSON has; what is larger is another file."""
+
+_LONGEST_LOCK_S = 10.0
+"""For other recorders to write their outcomes: each takes a moment."""
+
+_LOOK_S = 0.02
+"""Between two tries to be the one that writes."""
 
 
 def outcome_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
@@ -155,8 +162,22 @@ def _alone_in(folder: Path) -> Iterator[None]:
 
     opened = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        with suppress(OSError):
-            fcntl.flock(opened, fcntl.LOCK_EX)
+        end = time.monotonic() + _LONGEST_LOCK_S
+        is_waiting = True
+        while is_waiting:
+            is_waiting = False
+            try:
+                fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                if time.monotonic() > end:
+                    raise LogError(
+                        f"{folder}: another program has locked it for over {_LONGEST_LOCK_S:g} s; "
+                        "end that, or choose another folder with -o"
+                    ) from error
+                time.sleep(_LOOK_S)
+                is_waiting = True
+            except OSError:  # a file system without locks
+                pass
         yield
     finally:
         os.close(opened)
@@ -212,14 +233,12 @@ def _told_by(tuning: Path | None) -> tuple[float | None, Path | None]:
         return None, None
     remedy = "name a JSON that tunenet-tune wrote, or leave --tuning out"
     try:
-        if tuning.stat().st_size > _MOST_TUNING_BYTES:
-            raise ValueError("too large")
-        told: Any = json.loads(tuning.read_bytes())
+        told = parse_json(read_small_file(tuning, _MOST_TUNING_BYTES))
         log = tuning.parent / Path(told["log"]).name
         return _restitution(told["parameters"]), (log if _is_there(log) else None)
     except OSError as error:
         raise UsageError(f"{tuning}: cannot be read ({error.strerror}); {remedy}") from error
-    except (ValueError, TypeError, LookupError, RecursionError) as error:
+    except (ValueError, TypeError, LookupError) as error:
         raise UsageError(f"{tuning}: is no tuning; {remedy}") from error
 
 
@@ -245,7 +264,7 @@ def _place(path: Path | None, folder: Path) -> str:
     """A file as an outcome names it: from the campaign's folder on where it lies in it."""
     if path is None:
         return ""
-    full, root = path.resolve(), folder.resolve()
+    full, root = real_path(path), real_path(folder)
     text = os.fspath(full.relative_to(root) if full.is_relative_to(root) else full)
     if len(text) > _MOST_LETTERS:
         raise UsageError(

@@ -47,13 +47,19 @@ class Summary:
 
 @contextmanager
 def stop_flag() -> Iterator[threading.Event]:
-    """An event that SIGINT and SIGTERM set; a handler that raised would leave logs half written."""
+    """An event that SIGINT, SIGTERM and SIGHUP set; handlers that raise leave logs half written.
+
+    SIGHUP, which a closed terminal or a lost connection sends, stays ignored under `nohup`.
+    """
     event = threading.Event()
 
     def stop(_signal: int, _frame: FrameType | None) -> None:
         event.set()
 
-    previous = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        numbers.append(signal.SIGHUP)
+    previous = {number: signal.signal(number, stop) for number in numbers}
     try:
         yield event
     finally:

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import json
+import resource
 import struct
-from collections.abc import Callable
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -15,12 +19,35 @@ from rosbags.typesys import Stores, get_typestore
 
 LAUNCHER = """
 import resource, subprocess, sys
+resource.setrlimit(resource.RLIMIT_CPU, (300, 300))
 code = subprocess.run(sys.argv[1:]).returncode
 sys.stdout.flush()
 print("peak", resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss, file=sys.stderr)
 sys.exit(code)
 """
-"""A small process between: the peak of one that is forked counts its parent's memory too."""
+"""A small process between: the peak of one that is forked counts its parent's memory too. What
+hangs is ended by its CPU time."""
+
+
+class Spent(NamedTuple):
+    """What a command said, its exit code, and what it cost."""
+
+    said: str
+    code: int
+    cpu_s: float
+    peak_kib: int
+
+
+def spent(command: Sequence[str], folder: Path) -> Spent:
+    """Run a command in a folder."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    line = [sys.executable, "-c", LAUNCHER, *command]
+    done = subprocess.run(line, check=False, cwd=folder, capture_output=True, text=True)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    said, _, peak = (done.stdout + done.stderr).rpartition("peak ")
+    cpu_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return Spent(said, done.returncode, cpu_s, int(peak))
+
 
 MAGIC = b"\x89MCAP0\r\n"
 HEADER = struct.pack("<BQII", 1, 8, 0, 0)
@@ -107,7 +134,13 @@ def forged_jpeg_within_bounds(path: Path) -> None:
 
 def blank_pictures(path: Path) -> None:
     """PNGs of 36 megapixels that are blank: whole, and a few bytes each once they are packed."""
-    blank = cv2.imencode(".png", np.zeros((6000, 6000), np.uint8))[1].tobytes()
+    write_pictures(path, cv2.imencode(".png", np.zeros((6000, 6000), np.uint8))[1].tobytes(), 60)
+
+
+def write_pictures(
+    path: Path, picture: bytes, count: int, topics: int = 1, others: int = 0
+) -> None:
+    """A log that holds one picture `count` times, in turns by topic, and `others` beside them."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     kind = "sensor_msgs/msg/CompressedImage"
     types = store.types
@@ -115,15 +148,18 @@ def blank_pictures(path: Path) -> None:
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start("ros2")
-        channel = writer.register_channel(
-            "/eye", "cdr", writer.register_schema(kind, "ros2msg", text.encode())
-        )
-        for index in range(1, 61):
+        schema = writer.register_schema(kind, "ros2msg", text.encode())
+        channels = [writer.register_channel(f"/eye{n or ''}", "cdr", schema) for n in range(topics)]
+        for index in range(1, count + 1):
             stamp = types["builtin_interfaces/msg/Time"](sec=index, nanosec=0)
             header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
-            message = types[kind](header=header, format="png", data=np.frombuffer(blank, np.uint8))
+            pixels = np.frombuffer(picture, np.uint8)
+            message = types[kind](header=header, format="png", data=pixels)
             data = bytes(store.serialize_cdr(message, kind))
-            writer.add_message(channel, index * 10**9, data, index * 10**9)
+            writer.add_message(channels[index % topics], index * 10**9, data, index * 10**9)
+        other = writer.register_channel("/other", "none", 0) if others else 0
+        for index in range(others):
+            writer.add_message(other, index, b"", index)
         writer.finish()
 
 

@@ -12,16 +12,24 @@ class Page:
 
     Attributes:
         host: name or address, and port.
+        secret: what every path begins with.
     """
 
     def __init__(self, url: str) -> None:
         self.url = url
-        self.host = url.removeprefix("http://").strip("/")
+        self.host, _, secret = url.removeprefix("http://").strip("/").partition("/")
+        self.secret = f"/{secret}"
 
     def ask(
         self, method: str, path: str, body: str | None = None, **headers: str
     ) -> tuple[int, bytes]:
         """The answer's status and body."""
+        return self.ask_anywhere(method, self.secret + path, body, **headers)
+
+    def ask_anywhere(
+        self, method: str, path: str, body: str | None = None, **headers: str
+    ) -> tuple[int, bytes]:
+        """The same with a whole path, as somebody asks who does not know the secret."""
         connection = HTTPConnection(self.host, timeout=10)
         try:
             connection.request(method, path, body, headers)
@@ -43,6 +51,10 @@ def assert_for_this_machine_alone(page: Page, paths: Iterable[tuple[str, str]]) 
     ):
         for method, path in paths:
             assert page.ask(method, path, **headers)[0] == 403
+    for method, path in paths:
+        for prefix in ("", "/", "/x", page.secret[:-1], page.secret + "x", "/%2e", "//"):
+            code, body = page.ask_anywhere(method, prefix + path)
+            assert (code, body) == (404, b"no such page\n")
     listening = Path("/proc/net/tcp").read_text()
     bound = [line.split()[1] for line in listening.splitlines() if line.split()[3] == "0A"]
     assert f"0100007F:{int(port):04X}" in bound

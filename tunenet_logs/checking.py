@@ -36,7 +36,8 @@ def check(path: Path, progress: Progress, options: ReadOptions = AS_IT_SAYS) -> 
     damage = list(episode.losses)
     for topic in episode.picture_topics:
         damage += _picture_damage(episode, topic, progress)
-    doubts = tuple(warning for warning in episode.warnings if warning not in episode.losses)
+    lost = set(episode.losses)
+    doubts = tuple(warning for warning in episode.warnings if warning not in lost)
     return Health(episode, tuple(damage), doubts)
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from tunenet_logs.commandline import Parser, read_options_of, reading_options, run
 from tunenet_logs.errors import TuneNetError
+from tunenet_logs.regular_file import real_path
 from tunenet_logs.terminal import Progress, one_line
 
 # The texts of --help.
@@ -69,6 +70,9 @@ _IMPORT_EXAMPLES = """\
   tunenet-logs import torques.csv -o arm.mcap
   tunenet-logs import rosbag2_2026_11_02/ -o drop.mcap"""
 
+
+_MOST_LINES = 100
+"""Of what is said of one kind; a log of thousands is no reason to scroll."""
 
 _UNSAID = "what a file does not say itself"
 
@@ -149,13 +153,19 @@ def _check(arguments: argparse.Namespace) -> int:
             f"{sum(channel.messages for channel in channels)} messages in {len(channels)} channels"
         )
         print(one_line(f"{log}: {'damaged' if health.damage else 'whole'}, {held}"))
-        for line in health.damage:
-            print(one_line(f"  damage: {line}"))
-        for line in health.doubts:
-            print(one_line(f"  note: {line}"))
+        _say("damage", health.damage)
+        _say("note", health.doubts)
         return not health.damage
 
     return _each(arguments.logs, show)
+
+
+def _say(what: str, facts: Sequence[str]) -> None:
+    """Facts of one kind, one a line; of very many the first."""
+    for fact in facts[:_MOST_LINES]:
+        print(one_line(f"  {what}: {fact}"))
+    if len(facts) > _MOST_LINES:
+        print(f"  {what}: and {len(facts) - _MOST_LINES} more")
 
 
 def _recover(arguments: argparse.Namespace) -> int:
@@ -164,8 +174,7 @@ def _recover(arguments: argparse.Namespace) -> int:
     log, output = arguments.log, arguments.output
     recovered = recover(log, output, overwrite=arguments.overwrite)
     print(one_line(f"{output}: {recovered.messages} messages saved from {log}"))
-    for line in recovered.losses:
-        print(one_line(f"  lost: {line}"))
+    _say("lost", recovered.losses)
     if recovered.holds_ros1:
         print(
             "  note: its messages are still those of ROS 1, which readers of ROS 2 refuse; "
@@ -178,7 +187,7 @@ def _import(arguments: argparse.Namespace) -> int:
     from tunenet_logs.importing import import_log
 
     log = arguments.log
-    output = arguments.output or log.parent / f"{log.resolve().stem}.mcap"
+    output = arguments.output or log.parent / f"{real_path(log).stem}.mcap"
     progress = Progress(quiet=arguments.quiet)
     imported = import_log(
         log,
@@ -188,10 +197,8 @@ def _import(arguments: argparse.Namespace) -> int:
         options=read_options_of(arguments),
     )
     print(one_line(f"{output}: {imported.messages} messages from {log}"))
-    for line in imported.renamed:
-        print(one_line(f"  renamed: {line}"))
-    for line in imported.left_out:
-        print(one_line(f"  left out: {line}"))
+    _say("renamed", imported.renamed)
+    _say("left out", imported.left_out)
     for line in imported.warnings:
         print(one_line(f"tunenet-logs: {log}: {line}"), file=sys.stderr)
     return 0

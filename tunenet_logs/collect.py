@@ -8,10 +8,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from tunenet_logs.clock_jumps import filmed_part
 from tunenet_logs.episode import Signal
 from tunenet_logs.formats.base import BeyondLimitError
 from tunenet_logs.formats.message_types import JointSample, PictureSample, PositionSample
-from tunenet_logs.timestamp_correction import order_samples, sorted_stamps, trusts_header
+from tunenet_logs.timestamp_correction import (
+    jumps_alone,
+    order_samples,
+    sorted_stamps,
+    trusts_header,
+)
 
 _MOST_NAMES = 1000
 """Bodies or joints of one topic; more are no robot's, but a damaged or hostile log's."""
@@ -144,6 +150,9 @@ class JointRows:
         headers = [np.frombuffer(rows.header_ns, np.int64) for _, (rows, _) in blocks]
         logs = [np.frombuffer(rows.log_ns, np.int64) for _, (rows, _) in blocks]
         is_header, notes = trusts_header(np.concatenate(headers))
+        reasons = (jumps_alone(*both) for both in zip(headers, logs, strict=True))
+        if is_header and (reason := next(filter(None, reasons), "")):
+            is_header, notes = False, [reason]
         ordered = [sorted_stamps(own_ns) for own_ns in (headers if is_header else logs)]
         notes += [repair for _, _, repairs in ordered for repair in repairs]
         stamps_ns = np.unique(np.concatenate([own_ns for _, own_ns, _ in ordered]))
@@ -170,16 +179,23 @@ class PictureStamps:
 
     topic: str
     _header_ns: array[int] = field(default_factory=lambda: array("q"), init=False)
+    _log_ns: array[int] = field(default_factory=lambda: array("q"), init=False)
 
-    def add(self, _log_ns: int, picture: PictureSample) -> None:
+    def add(self, log_ns: int, picture: PictureSample) -> None:
         """One picture.
 
         Raises:
             OverflowError: its stamp lies beyond the year 2262.
         """
         self._header_ns.append(picture.stamp_ns)
+        self._log_ns.append(log_ns)
 
     def trusts_header(self) -> tuple[bool, list[str]]:
-        """Whether the pictures' own stamps tell the time, and if not, why not."""
-        is_header, reasons = trusts_header(np.array(self._header_ns, np.int64))
+        """Whether the pictures' own stamps tell the time, and why not, or where they jump."""
+        header_ns, log_ns = (np.array(own, np.int64) for own in (self._header_ns, self._log_ns))
+        is_header, reasons = trusts_header(header_ns)
+        if is_header and (reason := jumps_alone(header_ns, log_ns)):
+            is_header, reasons = False, [reason]
+        used_ns = np.where(header_ns == 0, log_ns, header_ns) if is_header else log_ns
+        reasons += filmed_part(used_ns).words
         return is_header, [f"{self.topic}: {reason}" for reason in reasons]

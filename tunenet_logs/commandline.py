@@ -7,23 +7,18 @@ import io
 import os
 import signal
 import sys
-import threading
 import traceback
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from types import FrameType
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, NoReturn
 
 from tunenet_logs import __version__
 from tunenet_logs.errors import TuneNetError, UsageError
+from tunenet_logs.starting import WORDS
+from tunenet_logs.stopping import stoppable
 from tunenet_logs.terminal import one_line
 
 if TYPE_CHECKING:
     from tunenet_logs.formats.read_options import ReadOptions
-
-
-class Terminated(KeyboardInterrupt):
-    """SIGTERM: it unwinds as Ctrl-C does, so that nothing half written is left."""
 
 
 class Parser(argparse.ArgumentParser):
@@ -58,7 +53,8 @@ def run(
     """Parse and run; a known error is one line on stderr.
 
     Returns:
-        The exit code: that of `body`, 1 or 2 for a known error, 130 for Ctrl-C, 143 for SIGTERM.
+        The exit code: that of `body`, 1 or 2 for a known error, 128 and its number for a
+        signal (130 for Ctrl-C).
     """
     words = list(sys.argv[1:] if argv is None else argv)
     for name in BLAS_THREADS:
@@ -67,7 +63,7 @@ def run(
         if isinstance(stream, io.TextIOWrapper):  # a name that the terminal cannot show
             stream.reconfigure(errors="backslashreplace")
     try:
-        with _terminable():
+        with stoppable():
             code = body(parser.parse_args(words))
             sys.stdout.flush()
         return code
@@ -87,35 +83,9 @@ def run(
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except KeyboardInterrupt as stop:
-        word, code = ("terminated", 143) if isinstance(stop, Terminated) else ("interrupted", 130)
-        print(f"{parser.prog}: {word}", file=sys.stderr)
-        return code
-
-
-@contextmanager
-def _terminable() -> Iterator[None]:
-    """Let SIGTERM raise where it would kill; a handler that someone else has set stays."""
-    in_main_thread = threading.current_thread() is threading.main_thread()
-    if not in_main_thread or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
-        yield
-        return
-    is_over = False
-    usual_hook = threading.excepthook
-
-    def stop(_signal: int, _frame: FrameType | None) -> None:
-        nonlocal is_over
-        if not is_over:  # a second one must not break off what the first one cleans up
-            is_over = True
-            threading.excepthook = lambda _: None  # a pool's, whose workers are gone
-            _end_workers()
-            raise Terminated
-
-    signal.signal(signal.SIGTERM, stop)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
-        threading.excepthook = usual_hook
+        number = getattr(stop, "number", signal.SIGINT)  # none where closing a page raised it
+        print(f"{parser.prog}: {WORDS[number]}", file=sys.stderr)
+        return 128 + number
 
 
 def reading_options(group: argparse._ArgumentGroup) -> None:
@@ -164,13 +134,6 @@ def read_options_of(arguments: argparse.Namespace) -> ReadOptions:
         )
     columns = columns_of(arguments.columns) if arguments.columns else {}
     return ReadOptions(columns, arguments.fps, unit, values)
-
-
-def _end_workers() -> None:
-    """Their pool would else do all the work that waits before it lets go of this process."""
-    pool = sys.modules.get("multiprocessing")
-    for worker in pool.active_children() if pool else ():
-        worker.terminate()
 
 
 def print_traceback() -> None:

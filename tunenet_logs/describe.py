@@ -22,6 +22,9 @@ _COLUMNS = 60
 _GAP_PERIODS = 3.0
 """Usual intervals: a gap is longer, which jitter and one missing sample do not make it."""
 
+_FASTEST_HZ = 1e5
+"""Messages that came faster came in one piece: their times tell no rate."""
+
 _EARLIEST_DATE_NS = 1_000_000_000 * 10**9
 """Stamps before September 2001 are times of a simulator or video, not dates."""
 
@@ -89,7 +92,9 @@ def _episode_lines(info: EpisodeInfo) -> list[str]:
 
 def _channel_row(channel: Channel) -> tuple[str, ...]:
     duration_s = float(np.ptp(channel.log_ns)) * 1e-9 if channel.messages else 0.0
-    rate = f"{(channel.messages - 1) / duration_s:.1f} Hz" if duration_s > 0 else "-"
+    periods = channel.messages - 1
+    has_rate = duration_s * _FASTEST_HZ >= periods > 0
+    rate = f"{periods / duration_s:.1f} Hz" if has_rate else "-"
     gaps = gaps_s(channel.log_ns)
     return (
         short_name(channel.topic),

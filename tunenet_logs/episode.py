@@ -122,6 +122,18 @@ class Frame:
 
         return image_size(self.data)
 
+    def work_px(self) -> int:
+        """Pixels that decoding it goes over, of which a forged picture may have more than it shows.
+
+        Raises:
+            LogError: see `size_px`.
+        """
+        if self.size is not None:
+            return math.prod(self.size)
+        from tunenet_logs.images import image_work_px
+
+        return image_work_px(self.data)
+
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeInfo:

@@ -13,6 +13,10 @@ from tunenet_logs.errors import LogError
 MAX_PIXELS = 36_000_000
 """Of any picture: a little more than 8K video has."""
 
+FREE_VIDEO_PIXELS, VIDEO_PIXELS_A_BYTE = 100_000_000, 20_000
+"""Of all pictures of a video, whatever its size is, and for each of its bytes: a rendered film of
+4K without noise has 16,000, a camera's 100."""
+
 _MOST_PIXELS_A_BYTE = 2000
 """A blank JPEG has some 300 pixels for each of its bytes, a blank PNG 1000. What claims more is
 cut, or forged so that a few bytes cost a decoder seconds and hundreds of megabytes."""
@@ -28,6 +32,21 @@ _PNG_START = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
 
 _MOST_MARKERS = 1000
 """Of a JPEG before its size; cameras write a few tens."""
+
+_SCAN = b"\xff\xda"
+"""Of a JPEG: the marker of a scan. Coded pixels never hold it, so there are no more scans."""
+
+_MOST_SCANS = 50
+"""Of a JPEG: encoders write ten, the most thorough some twenty; each goes over the picture."""
+
+_USUAL_SCANS = 10
+"""Of a JPEG; with more of them it counts as a larger picture."""
+
+_PACKED_WORDS = (b"zTXt", b"iTXt", b"iCCP")
+"""Of a PNG: parts beside the picture that a decoder unpacks, to megabytes each."""
+
+_MOST_PACKED_WORDS = 16
+"""Of a PNG; programs write a few."""
 
 _ANIMATED = 0x02
 """The bit of a WebP's flags; several pictures are none of a camera."""
@@ -62,7 +81,23 @@ def image_size(data: bytes) -> tuple[int, int]:
         raise LogError(f"an image claims {width} x {height} px, over the limit of {MAX_PIXELS} px")
     if width * height > _MOST_PIXELS_A_BYTE * len(data):
         raise LogError(f"an image claims {width} x {height} px in {len(data)} bytes: damaged")
+    if kind == "jpeg" and data.count(_SCAN) > _MOST_SCANS:
+        raise LogError(f"an image has over {_MOST_SCANS} scans: forged")
+    if kind == "png" and sum(map(data.count, _PACKED_WORDS)) > _MOST_PACKED_WORDS:
+        raise LogError(f"an image has over {_MOST_PACKED_WORDS} packed words: forged")
     return size
+
+
+def image_work_px(data: bytes) -> int:
+    """Pixels that decoding goes over: of a JPEG of many scans, more than it shows.
+
+    Raises:
+        LogError: see `image_size`.
+    """
+    width, height = image_size(data)
+    if image_format(data) != "jpeg":
+        return width * height
+    return width * height * max(data.count(_SCAN), _USUAL_SCANS) // _USUAL_SCANS
 
 
 def decode_image(data: bytes, encoding: str) -> NDArray[np.uint8]:

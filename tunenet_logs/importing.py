@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from tunenet_logs import messages
-from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame, Signal
+from tunenet_logs.episode import Channel, Episode, Frame, Signal
 from tunenet_logs.errors import LogError, UsageError
 from tunenet_logs.formats.read_options import AS_IT_SAYS, ReadOptions
 from tunenet_logs.import_notes import is_impacts, notes_of, notes_of_frames
 from tunenet_logs.jpeg import compressed
-from tunenet_logs.output.log_place import LogPlace
 from tunenet_logs.reader import read_episode
 from tunenet_logs.terminal import Progress
 from tunenet_logs.writer import EpisodeWriter
@@ -83,7 +81,7 @@ def import_log(
     info = replace(episode.info, source=source, notes=notes)
     total = sum(channel.messages for channel in episode.channels if channel.skipped is None)
     with (
-        _whole_or_nothing(output, info, overwrite=overwrite) as writer,
+        EpisodeWriter(output, info, overwrite=overwrite, live=False, is_import=True) as writer,
         (progress or Progress(quiet=True)).bar(total, "importing", "message") as bar,
     ):
         for _, _, write in heapq.merge(*streams, key=lambda message: message[:2]):
@@ -95,20 +93,6 @@ def import_log(
         f"{channel.topic}: {channel.skipped}" for channel in episode.channels if channel.skipped
     ]
     return Imported(writer.written, tuple(left_out), tuple(topics.renamed), episode.warnings)
-
-
-@contextmanager
-def _whole_or_nothing(
-    output: Path, info: EpisodeInfo, *, overwrite: bool
-) -> Iterator[EpisodeWriter]:
-    """A writer whose file is gone again even where a signal comes before its first message."""
-    place = LogPlace(output, overwrite=overwrite, min_free_bytes=0)
-    try:
-        with EpisodeWriter(output, info, overwrite=overwrite, live=False, is_import=True) as writer:
-            yield writer
-    finally:
-        with suppress(OSError):
-            place.active_path.unlink(missing_ok=True)
 
 
 def ros_topic(name: str) -> str:

@@ -19,14 +19,16 @@ from tunenet_logs.formats.base import (
     UnusableError,
     described,
 )
+from tunenet_logs.formats.budget import Budget, OverBudgetError
 from tunenet_logs.formats.mcap_container import MAGIC as MCAP_MAGIC
-from tunenet_logs.formats.mcap_container import channels_of_summary
+from tunenet_logs.formats.mcap_parts import channels_of_summary
 from tunenet_logs.formats.message_types import type_key
 from tunenet_logs.formats.registry import decoder_for, is_folder, open_log
 from tunenet_logs.formats.tables.lines import SUFFIXES, is_table
 from tunenet_logs.messages import TASK_OUTCOME
 from tunenet_logs.outcome import MOST_ATTEMPTS, Outcome, from_message
 from tunenet_logs.outcome_table import is_outcome_table, read_outcome_table
+from tunenet_logs.regular_file import open_regular
 
 Warn = Callable[[str], None]
 """Takes a warning, a sentence without its end."""
@@ -119,10 +121,13 @@ def holds_outcomes(file: Path) -> bool:
     try:
         if is_table(file):
             return is_outcome_table(file)
-        with open(file, "rb") as opened:
+        with open_regular(file) as opened:
             if opened.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
                 return False
-            channels = channels_of_summary(opened, file.stat().st_size)
+            size = file.stat().st_size
+            channels = channels_of_summary(opened, size, Budget(size))
+    except OverBudgetError:
+        return True
     except OSError as error:
         raise LogError(f"{file}: cannot be read ({error.strerror})") from error
     return not channels or any(map(_is_outcome, channels.values()))

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence, Set
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 from tunenet_logs.collect import JointRows, PictureStamps, PositionRows
-from tunenet_logs.episode import Episode, EpisodeInfo, Frame
+from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame
 from tunenet_logs.errors import LogError
 from tunenet_logs.formats import registry
 from tunenet_logs.formats.base import (
@@ -21,15 +21,24 @@ from tunenet_logs.formats.base import (
 )
 from tunenet_logs.formats.pictures import frames_of
 from tunenet_logs.formats.read_options import AS_IT_SAYS, ReadOptions
+from tunenet_logs.images import FREE_VIDEO_PIXELS, VIDEO_PIXELS_A_BYTE
 from tunenet_logs.import_notes import restored
 from tunenet_logs.messages import INFO_RECORD
+from tunenet_logs.one_clock import jump_warnings
 from tunenet_logs.topic_contents import ReadingPlan, TopicContents
 
-_FREE_PIXELS = 100_000_000
-"""Of a whole log, whatever its size: some seconds of decoding."""
+_FREE_PIXELS = 50_000_000
+"""Of the pictures of a whole log, whatever its size is: a second of decoding."""
 
-_MOST_PIXELS_A_BYTE = 20_000
-"""Of a whole log; ten times what one picture may have, as a video repeats nothing that rests."""
+_PIXELS_A_BYTE = 500
+"""Of a log, beyond those: a camera's pictures have 20, rendered ones without noise 300."""
+
+_FEW_PICTURE_TOPICS = 8
+"""Cameras of a log whose pictures are read, however many other messages it has."""
+
+_FREE_MESSAGES, _BYTES_A_MESSAGE = 5_000_000, 50
+"""That all picture topics together may pass: each is read by a pass over the file. Those of any
+log, and its bytes for each beyond."""
 
 _MOST_LOSSES = 5
 """Places of damage that are named one by one among the warnings; the rest is counted."""
@@ -52,7 +61,8 @@ def read_episode(path: Path, options: ReadOptions = AS_IT_SAYS) -> Episode:
     """
     container = registry.open_log(path, options)
     if isinstance(container, Episode):
-        return container
+        jumps = jump_warnings(container, by_channel=True)
+        return replace(container, warnings=(*container.warnings, *jumps))
     losses: list[Loss] = []
     plan = ReadingPlan(path, options)
     info: Mapping[str, str] = {}
@@ -78,7 +88,8 @@ def read_episode(path: Path, options: ReadOptions = AS_IT_SAYS) -> Episode:
         raise LogError(f"{path}: nothing in it can be read: {why}")
     contents = list(dict.fromkeys(by_channel.values()))
     about = EpisodeInfo.from_strings(info)
-    return restored(_episode(path, container, losses, about, contents, plan), options)
+    episode = restored(_episode(path, container, losses, about, contents, plan), options)
+    return replace(episode, warnings=(*episode.warnings, *jump_warnings(episode)))
 
 
 def _episode(
@@ -123,6 +134,10 @@ def _episode(
             notes += repairs
             signals |= {signal.name: signal for signal in found}
     lost = [loss for loss in losses if not loss.harmless]
+    channels, more = _few_cameras(
+        path, [topic.summary(is_second=topic in seconds) for topic in topics]
+    )
+    doubts += more
     words = [str(loss) for loss in losses if loss.harmless]
     words += [str(loss) for loss in lost[:_MOST_LOSSES]]
     if rest := lost[_MOST_LOSSES:]:
@@ -131,32 +146,67 @@ def _episode(
     return Episode(
         info=info,
         signals=signals,
-        channels=tuple(topic.summary(is_second=topic in seconds) for topic in topics),
+        channels=channels,
         warnings=(*words, *damaged, *refused, *notes, *doubts),
         losses=(*map(str, lost), *damaged),
         tainted=next((str(loss) for loss in losses if loss.taints), ""),
-        open_frames=partial(_frames, path, container, by_log),
+        open_frames=partial(_frames, path, container, by_log, _most_pixels(path, topics)),
     )
 
 
-def _frames(path: Path, container: Container, by_log: Set[str], topic: str) -> Iterator[Frame]:
+def _few_cameras(path: Path, channels: list[Channel]) -> tuple[tuple[Channel, ...], list[str]]:
+    """The channels, pictures of the first cameras alone where there are too many; and a warning."""
+    cameras = [one for one in channels if one.pictures and one.skipped is None]
+    passed = max(1, sum(one.messages for one in channels))
+    free = (_FREE_MESSAGES + registry.file_bytes(path) // _BYTES_A_MESSAGE) // passed
+    most = max(_FEW_PICTURE_TOPICS, free)
+    if len(cameras) <= most:
+        return tuple(channels), []
+    why = f"the log has over {most} channels of pictures"
+    left = {id(one) for one in cameras[most:]}
+    some = [replace(one, skipped=why) if id(one) in left else one for one in channels]
+    return tuple(some), [f"the pictures of {len(left)} channels were left out: {why}"]
+
+
+def _most_pixels(path: Path, topics: Sequence[TopicContents]) -> dict[str, int]:
+    """Pixels that the pictures of each topic may have: a share of the log's, by their number."""
+    cameras = [topic for topic in topics if isinstance(topic.rows, PictureStamps)]
+    used = max(1, sum(topic.used for topic in cameras))
+    size = registry.file_bytes(path)
+    stills = _FREE_PIXELS + _PIXELS_A_BYTE * size
+    video = FREE_VIDEO_PIXELS + VIDEO_PIXELS_A_BYTE * size
+    most: dict[str, int] = {}
+    for topic in cameras:
+        share = (video if topic.is_video else stills) * topic.used // used
+        most[topic.channel.topic] = most.get(topic.channel.topic, 0) + share
+    return most
+
+
+def _frames(
+    path: Path,
+    container: Container,
+    by_log: Set[str],
+    most_pixels: Mapping[str, int],
+    topic: str,
+) -> Iterator[Frame]:
     """The frames of one topic, read afresh from the file.
 
     Args:
         path: the log.
         container: how it is read.
         by_log: topics whose header stamps do not tell the time.
+        most_pixels: that the pictures of a topic may have.
         topic: the channel's.
 
     Raises:
         LogError: a small log claims so many pixels that decoding them would take minutes.
     """
     records = container(path, [], (topic,))
-    most_pixels = _FREE_PIXELS + _MOST_PIXELS_A_BYTE * registry.file_bytes(path)
+    left = most_pixels.get(topic, 0)
     for frame in frames_of(records, topic, trusts_header=topic not in by_log):
         with suppress(LogError):  # one that is damaged costs nothing
-            most_pixels -= math.prod(frame.size_px())
-        if most_pixels < 0:
+            left -= frame.work_px()
+        if left < 0:
             raise LogError(
                 f"{path}: its pictures claim far more pixels than a log of that size has"
             )

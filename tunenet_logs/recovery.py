@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,6 +24,7 @@ from tunenet_logs.formats.base import (
 from tunenet_logs.formats.registry import open_log
 from tunenet_logs.formats.ros import ros_name
 from tunenet_logs.messages import INFO_RECORD
+from tunenet_logs.output.claimed_name import ClaimedName
 from tunenet_logs.output.log_place import not_writable
 
 RECOVERY_RECORD = "tunenet/recovery"
@@ -68,22 +68,26 @@ def recover(path: Path, output: Path, *, overwrite: bool = False) -> Recovered:
         raise LogError(
             f"{path}: holds no messages to recover; bring it in with tunenet-logs import"
         )
-    partial = output.with_name(output.name + _PARTIAL)
     try:
-        with open(partial, "wb") as file:
-            copy = _Copy(Writer(file, enable_data_crcs=True), path.name)
-            recovered = copy.of(path, container)
-            file.flush()
-            os.fsync(file.fileno())
-        if not recovered.messages:
-            why = f" ({recovered.losses[0]})" if recovered.losses else ""
-            raise LogError(f"{path}: holds no message that can be saved{why}")
-        partial.replace(output)
+        partial = ClaimedName(output.with_name(output.name + _PARTIAL), takes_over=True)
+        try:
+            with os.fdopen(os.dup(partial.descriptor), "wb") as file:
+                copy = _Copy(Writer(file, enable_data_crcs=True), path.name)
+                recovered = copy.of(path, container)
+                file.flush()
+                os.fsync(file.fileno())
+            if not recovered.messages:
+                why = f" ({recovered.losses[0]})" if recovered.losses else ""
+                raise LogError(f"{path}: holds no message that can be saved{why}")
+            if not partial.rename(output, replaces=overwrite):
+                lost = f"{partial.path.name} {partial.why_lost()} while it was written"
+                raise LogError(f"{output}: {lost}; recover again, and leave that file where it is")
+        finally:
+            partial.remove()  # nothing is there where it has its name
+    except FileExistsError as error:
+        raise LogError(f"{output}: exists by now; choose another name with -o") from error
     except OSError as error:
         raise not_writable(output, error) from error
-    finally:
-        with suppress(OSError):
-            partial.unlink(missing_ok=True)
     return recovered
 
 

@@ -24,6 +24,7 @@ from tunenet_logs.formats.base import (
     described,
 )
 from tunenet_logs.formats.by_shape import unit_of
+from tunenet_logs.formats.decoders import Decoders
 from tunenet_logs.formats.message_types import (
     JointType,
     PictureType,
@@ -50,11 +51,13 @@ class ReadingPlan:
 
     Attributes:
         budget: for definitions of types.
+        decoders: of the types that are known.
         picks: the fields that are named; None where none is.
     """
 
     def __init__(self, path: Path, options: ReadOptions) -> None:
         self.budget = SchemaBudget()
+        self.decoders = Decoders(self.budget)
         self.picks = HandPicked(path, options, self.budget) if options.columns else None
         self._options = options
 
@@ -126,9 +129,7 @@ class TopicContents:
             self.rows = PositionRows(channel.topic, *plan.length(unit_of(channel.type_name)))
             self._add = self.rows.add
             return
-        if channel.schema_encoding == "ros2idl":
-            plan.budget.spend(channel)
-        self._decode = registry.decoder_for(channel)
+        self._decode = plan.decoders.of(channel)
         assert kind is not None
         if isinstance(kind, PositionType):
             self.rows = PositionRows(channel.topic, *plan.length("m"))
@@ -156,6 +157,11 @@ class TopicContents:
     def is_by_shape(self) -> bool:
         """Whether positions are read by what the fields of its messages are called."""
         return self._shape is not None
+
+    @property
+    def is_video(self) -> bool:
+        """Whether its pictures are made from those before them."""
+        return isinstance(self._type, PictureType) and self._type.is_video
 
     def checked_shape(self) -> list[str] | None:
         """What is to be said of what was read by shape; None where that may not be believed."""

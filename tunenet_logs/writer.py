@@ -78,10 +78,7 @@ class EpisodeWriter:
         now = time.monotonic()
         self._chunk_at, self._sync_at = now + _CHUNK_SECONDS, now + _SYNC_SECONDS
         self._due_at = self._chunk_at if live else self._sync_at
-        try:
-            self._file = WholeFile(self.active_path)
-        except OSError as error:
-            raise not_writable(path, error) from error
+        self._file = WholeFile(self._place.claim.descriptor)
         try:
             self._output = McapOutput(self._file, "ros2", f"tunenet-logs {__version__}")
             self._output.add_metadata(INFO_RECORD, info.to_strings())
@@ -161,6 +158,7 @@ class EpisodeWriter:
             if now >= self._sync_at:
                 self._file.sync()
                 self._sync_at = now + _SYNC_SECONDS
+                self._look_after_the_file()
                 self._spare_the_disk()
         except OSError as error:
             self._break_off(error)
@@ -177,8 +175,7 @@ class EpisodeWriter:
 
     def discard(self) -> None:
         """Leave no log: nothing came that is worth one. A log that it would replace stays."""
-        self._file.close()
-        self.active_path.unlink(missing_ok=True)
+        self._place.claim.remove()
 
     def close(self, ended: str = "") -> None:
         """Finish the log and give it its name. Safe to call twice.
@@ -189,7 +186,7 @@ class EpisodeWriter:
         Raises:
             LogError: writing failed.
         """
-        if self._file.is_closed:
+        if self._is_over:
             return
         try:
             self._output.close_chunk()
@@ -197,12 +194,10 @@ class EpisodeWriter:
             self._file.sync()
         except OSError as error:
             self._break_off(error)
-        self._file.close()
-        if not self._place.give_name(is_cut=False):
-            why = f"{self.path}: exists by now, or cannot be written"
-            if self._is_import:
-                raise LogError(f"{why}; nothing is left of the import; choose another name with -o")
-            raise LogError(f"{why}; the log is whole in {self.active_path.name}")
+        self._look_after_the_file()
+        kept = self._place.keep(is_whole=True, or_nothing=self._is_import)
+        if kept != self.path:
+            raise LogError(f"{self.path}: exists by now, or cannot be written; {self._left(kept)}")
 
     def __enter__(self) -> Self:
         return self
@@ -223,6 +218,7 @@ class EpisodeWriter:
             self.discard()  # nothing is there where it was closed well
 
     def _register(self, topic: str, type_name: str) -> _Channel:
+        self._place.claim.is_kept = not self._is_import
         if topic in self._channels:
             known = self._channels[topic].type_name
             raise ValueError(f"{topic} holds {known}, so it cannot hold {type_name}")
@@ -249,8 +245,23 @@ class EpisodeWriter:
             self._output.close_chunk()
             self._end_early(f"stopped, {why}", "free some space, or lower --min-free")
 
+    def _look_after_the_file(self) -> None:
+        """End a log whose file somebody removed, moved or replaced: what follows would be lost."""
+        if why := self._place.claim.why_lost():
+            self._output.close_chunk()
+            verb = "importing" if self._is_import else "recording"
+            remedy = "leave that file where it is until the log has ended"
+            self._end_early(f"{self.active_path.name} {why} while {verb}", remedy)
+        if self._file.is_changed():
+            self._place.keep(is_whole=False, or_nothing=self._is_import)
+            left = f"save what is left of {self.written} messages with tunenet-logs recover"
+            raise LogError(
+                f"{self.active_path}: another program cut it or wrote to it meanwhile; "
+                + (self._left(None) if self._is_import else left)
+            )
+
     def _break_off(self, error: OSError) -> NoReturn:
-        if self._file.is_closed:
+        if self._is_over:
             raise LogError(f"{self.path}: the recording is over") from error
         verb = "import" if self._is_import else "record"
         is_full = error.errno in NO_SPACE
@@ -259,21 +270,24 @@ class EpisodeWriter:
 
     def _end_early(self, why: str, remedy: str, cause: OSError | None = None) -> NoReturn:
         """End the log with what is in it, and say what is kept and where."""
-        if self._is_import:
-            self.discard()
-            raise LogError(
-                f"{self.path}: {why}; nothing is left of the import; {remedy}"
-            ) from cause
-        is_whole = self._output.is_ended or self._output.end_as_fits(
-            INFO_RECORD, self._final_info(why)
+        is_whole = not self._is_import and (
+            self._output.is_ended or self._output.end_as_fits(INFO_RECORD, self._final_info(why))
         )
-        self._file.close()
-        is_named = is_whole and self._place.give_name(is_cut=True)
-        place = self.path.name if is_named else self.active_path.name
-        raise LogError(
-            f"{self.path}: {why}; {self.written} of {self.info.counts['captured']} messages are "
-            f"kept in {place}; {remedy}"
-        ) from cause
+        kept = self._place.keep(is_whole=is_whole, is_cut=True, or_nothing=self._is_import)
+        raise LogError(f"{self.path}: {why}; {self._left(kept)}; {remedy}") from cause
+
+    def _left(self, kept: Path | None) -> str:
+        """What is left of a log that did not get its name, in words."""
+        if self._is_import:
+            return "nothing is left of the import"
+        messages = f"{self.written} of {self.info.counts['captured']} messages"
+        if kept is None:
+            return f"{messages} are lost: no copy of them could be written"
+        return f"{messages} are kept in {self._place.called(kept)}"
+
+    @property
+    def _is_over(self) -> bool:
+        return self._place.claim.descriptor < 0
 
 
 class _Channel:

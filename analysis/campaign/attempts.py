@@ -10,6 +10,7 @@ from analysis.campaign.files import Material, natural
 from analysis.campaign.tuned_drop import TunedDrop
 from tunenet_logs.outcome import Outcome
 from tunenet_logs.outcome_reading import Warn
+from tunenet_logs.regular_file import real_path
 
 _UNNAMED = "unnamed ball"
 """Of a drop whose recording names no ball, and that no outcome names."""
@@ -130,7 +131,7 @@ def _linked(
     outcomes: Sequence[Outcome], drops: Sequence[TunedDrop], roots: Sequence[Path]
 ) -> dict[int, list[Outcome]]:
     """By the id of a drop, the outcomes that name its log or tuning."""
-    by_path = {path.resolve(): drop for drop in drops for path in (drop.log, drop.tuning) if path}
+    by_path = {real_path(path): drop for drop in drops for path in (drop.log, drop.tuning) if path}
     by_name: dict[str, list[TunedDrop]] = {}
     for drop in drops:
         names = {drop.name, *(path.name for path in (drop.log, drop.tuning) if path)}
@@ -154,7 +155,7 @@ def _named(
 ) -> TunedDrop | None:
     """The drop of a path that was maybe written elsewhere: by its name, where only one has it."""
     for root in roots:
-        found = by_path.get((root / text).resolve())
+        found = by_path.get(real_path(root / text))
         if found is not None:
             return found
     same = by_name.get(Path(text).name, [])

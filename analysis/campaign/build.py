@@ -13,6 +13,7 @@ from analysis.campaign.tuned_drop import TunedDrop, drop_of
 from analysis.processes import Piece, parallel_map
 from tunenet_logs.errors import UsageError
 from tunenet_logs.outcome_reading import Warn
+from tunenet_logs.regular_file import real_path
 from tunenet_logs.terminal import Progress
 
 _AROUND_S = 0.3
@@ -71,7 +72,7 @@ def campaign_of(
     if not attempts:
         named = ", ".join(map(str, places))
         raise UsageError(f"{named}: no drop and no outcome of it can be read")
-    name = places[0].resolve().name or "campaign"
+    name = real_path(places[0]).name or "campaign"
     return Campaign(name, attempts, sum(drop.tuning is None for drop in drops), len(unread))
 
 

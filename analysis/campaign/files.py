@@ -5,12 +5,15 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 
 from analysis.campaign.tuned_drop import TunedDrop, read_tuned_drop
 from tunenet_logs.errors import LogError, UsageError
+from tunenet_logs.formats.registry import is_folder
 from tunenet_logs.outcome import Outcome
 from tunenet_logs.outcome_reading import Warn, holds_outcomes, numbered, read_outcomes
+from tunenet_logs.regular_file import real_path
 from tunenet_logs.terminal import listed
 
 _LOGS = frozenset((".mcap", ".bag", ".db3", ".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v"))
@@ -24,6 +27,9 @@ _TABLES = frozenset((".csv", ".tsv", ".txt"))
 
 _MOST_FILES = 20_000
 """Of one folder: a campaign has hundreds; somebody named the wrong folder, a home or a disk."""
+
+_MOST_ENTRIES = 100_000
+"""That are looked at, with folders: those can be many without a file in them."""
 
 
 @dataclass(frozen=True)
@@ -54,13 +60,13 @@ def material_of(places: Sequence[Path], warn: Warn) -> Material:
         UsageError: there is no such place, or nothing of a campaign in it.
         LogError: a table of outcomes is wrong.
     """
-    named = frozenset(place.resolve() for place in places if place.is_file())
+    named = frozenset(real_path(place) for place in places if place.is_file())
     outcomes: list[Outcome] = []
     drops: list[TunedDrop] = []
     logs: list[Path] = []
     outcome_files: list[Path] = []
     for file in _files(places, warn):
-        suffixes = _NAMED_LOGS if file.resolve() in named else _LOGS
+        suffixes = _NAMED_LOGS if real_path(file) in named else _LOGS
         try:
             if file.suffix.lower() == ".json":
                 drops += filter(None, [read_tuned_drop(file)])
@@ -78,21 +84,21 @@ def material_of(places: Sequence[Path], warn: Warn) -> Material:
             "wrote, and the tunings beside them"
         )
     roots = tuple(dict.fromkeys(place if place.is_dir() else place.parent for place in places))
-    no_drops = {file.resolve() for file in outcome_files}
+    no_drops = {real_path(file) for file in outcome_files}
     drops = [
         drop
         for drop in _with_logs(drops, [*logs, *outcome_files], warn)
-        if drop.log is None or drop.log.resolve() not in no_drops
+        if drop.log is None or real_path(drop.log) not in no_drops
     ]
     texts = {outcome.tuning for outcome in outcomes if outcome.tuning}
     drops = _one_each(
-        drops, frozenset((root / text).resolve() for text in texts for root in roots), warn
+        drops, frozenset(real_path(root / text) for text in texts for root in roots), warn
     )
-    tuned = {drop.log.resolve() for drop in drops if drop.log is not None}
+    tuned = {real_path(drop.log) for drop in drops if drop.log is not None}
     return Material(
         outcomes=tuple(sorted(numbered(outcomes), key=lambda outcome: outcome.stamp_ns)),
         drops=tuple(sorted(drops, key=lambda drop: natural(drop.name))),
-        untuned=tuple(log for log in logs if not tuned & {log.resolve(), log.resolve().parent}),
+        untuned=tuple(log for log in logs if not tuned & {real_path(log), real_path(log).parent}),
         roots=roots,
     )
 
@@ -118,20 +124,59 @@ def _files(places: Iterable[Path], warn: Warn) -> Iterator[Path]:
             raise UsageError(f"{place}: no such file or folder")
         found = _inside(place, warn) if place.is_dir() else [place]
         for file in found:
-            if (full := file.resolve()) not in seen:
+            if (full := real_path(file)) not in seen:
                 seen.add(full)
-                yield file
+                if _is_regular(file, warn):
+                    yield file
 
 
 def _inside(folder: Path, warn: Warn) -> list[Path]:
+    """The files of a folder and of those in it, those of a folder first; links are not followed."""
     found: list[Path] = []
-    for root, folders, names in os.walk(folder):
-        folders.sort()
+    waiting = [folder]
+    looked = 0
+    while waiting:
+        root = waiting.pop()
+        try:
+            with os.scandir(root) as entries:
+                every = list(islice(entries, _MOST_ENTRIES))
+        except OSError as error:
+            warn(f"{root}: cannot be read ({error.strerror})")
+            continue
+        looked += len(every)
+        folders = [entry.name for entry in every if entry.is_dir(follow_symlinks=False)]
+        names = [entry.name for entry in every if not _is_folder(entry)]
         found += [Path(root, name) for name in sorted(names, key=natural)]
-        if len(found) > _MOST_FILES:
-            warn(f"{folder}: holds over {_MOST_FILES} files; those beyond are left out")
+        waiting += [Path(root, name) for name in sorted(folders, reverse=True)]
+        if len(found) > _MOST_FILES or looked >= _MOST_ENTRIES:
+            most = (
+                f"{_MOST_FILES} files"
+                if len(found) > _MOST_FILES
+                else f"{_MOST_ENTRIES} files and folders"
+            )
+            warn(f"{folder}: holds over {most}; those beyond are left out")
             return found[:_MOST_FILES]
     return found
+
+
+def _is_folder(entry: os.DirEntry[str]) -> bool:
+    """Whether it is one, or a link to one; not a circle of links."""
+    return entry.is_dir(follow_symlinks=False) or (
+        entry.is_symlink() and is_folder(Path(entry.path))
+    )
+
+
+def _is_regular(file: Path, warn: Warn) -> bool:
+    """Whether it is a file or a link to one; a pipe or a circle of links is told."""
+    try:
+        if file.is_file():
+            return True
+    except OSError as error:
+        warn(f"{file}: cannot be read ({error.strerror})")
+        return False
+    if file.suffix.lower() in _NAMED_LOGS | _TABLES | {".json"}:
+        warn(f"{file}: is no regular file; it is left out")
+    return False
 
 
 def _outcomes(file: Path, warn: Warn) -> Sequence[Outcome]:
@@ -193,7 +238,7 @@ def _one_each(drops: Sequence[TunedDrop], named: frozenset[Path], warn: Warn) ->
     by_log: dict[Path, list[TunedDrop]] = {}
     for drop in drops:
         if drop.log is not None:
-            by_log.setdefault(drop.log.resolve(), []).append(drop)
+            by_log.setdefault(real_path(drop.log), []).append(drop)
     kept = [drop for drop in drops if drop.log is None]
     for log, several in by_log.items():
         chosen = min(several, key=lambda drop: _rank(drop, named))
@@ -206,4 +251,4 @@ def _one_each(drops: Sequence[TunedDrop], named: frozenset[Path], warn: Warn) ->
 def _rank(drop: TunedDrop, named: frozenset[Path]) -> tuple[bool, bool, str]:
     """The least is of the tuning that counts: named by an outcome, else called as its log."""
     tuning, log = drop.tuning or Path(), drop.log or Path()
-    return tuning.resolve() not in named, tuning.stem != log.stem, str(tuning)
+    return real_path(tuning) not in named, tuning.stem != log.stem, str(tuning)

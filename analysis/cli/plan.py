@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from tunenet_logs.commandline import Parser, number, run, whole
 from tunenet_logs.errors import UsageError
+from tunenet_logs.regular_file import real_path
 from tunenet_logs.terminal import one_line
 
 if TYPE_CHECKING:
@@ -163,7 +164,7 @@ def _refuse_own_input(arguments: argparse.Namespace) -> None:
 def _is_same(one: Path, other: Path) -> bool:
     if one.exists() and other.exists():
         return one.samefile(other)
-    return one.resolve() == other.resolve()
+    return real_path(one) == real_path(other)
 
 
 def _save_new(path: Path, text: str) -> None:

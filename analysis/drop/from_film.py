@@ -144,6 +144,8 @@ def _detect_in(
         warnings.append(unread)
     if selection.arm_options:
         warnings.append(f"{', '.join(selection.arm_options)} not used: this is a drop")
+    said = {f"{topic}: {words}" for words in pictures.jumps}
+    warnings += sorted(said - set(episode.warnings))
     warnings += pictures.arrivals.warnings("pictures")
     if pictures.other_size:
         warnings.append(f"{pictures.other_size} pictures of another size were left out")

@@ -11,12 +11,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis.statistics import noise_of
 from tunenet_logs.arrays import Array
 
 _WINDOWS = (7, 11, 17, 27, 43, 69, 109)
 """Samples in which an acceleration is looked for: a tenth of a second at 60 Hz, and at 1 kHz."""
+
+_BLOCK = 2000
+"""Windows that are fitted at a time: a log of an hour has tens of thousands."""
 
 _MOST_SHARED = 1500
 """Windows that are compared, each with each."""
@@ -115,17 +119,30 @@ def _accelerations(
         return none
     every = max(1, width // 6, len(seconds) // 20_000)
     begins = np.arange(0, len(seconds) - width + 1, every)
-    rows = begins[:, None] + np.arange(width)
-    clock = seconds[rows]
     usual = float(np.median(np.diff(seconds)))
-    lasts = np.ptp(clock, axis=1)
-    whole = lasts < 2.0 * usual * width
-    clock, rows, lasts = clock[whole], rows[whole], lasts[whole]
-    if not len(clock):
-        return none
+    parts = [none]
+    for at in range(0, len(begins), _BLOCK):
+        rows = begins[at : at + _BLOCK, None] + np.arange(width)
+        whole = np.ptp(seconds[rows], axis=1) < 2.0 * usual * width
+        if whole.any():
+            rows = rows[whole]
+            vectors, off, kept = _parabolas(seconds[rows], positions[rows], noises, sure)
+            parts.append((vectors[kept], off[kept], np.full(np.count_nonzero(kept), float(every))))
+    vectors, off, weights = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return vectors, off, weights
+
+
+def _parabolas(
+    clock: Array, values: Array, noises: Array, sure: float
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Fit W windows of times, shape (W, T), and positions, shape (W, T, 3).
+
+    Returns:
+        Accelerations, shape (W, 3), residuals, shape (W,), and which of them are sure, shape (W,).
+    """
+    lasts, width = np.ptp(clock, axis=1), clock.shape[1]
     clock = 2 * (clock - clock.mean(axis=1, keepdims=True)) / lasts[:, None]
     design = np.stack([np.ones_like(clock), clock, clock**2], axis=2)
-    values = positions[rows]
     normal = np.einsum("wti,wtj->wij", design, design)
     solution = np.linalg.solve(normal, np.einsum("wti,wtk->wik", design, values))
     off = values - np.einsum("wti,wik->wtk", design, solution)
@@ -138,6 +155,4 @@ def _accelerations(
     )
     off = np.linalg.norm(rms, axis=1)
     kept = (size > sure * error) & (off < _SMOOTH_SDS * noise + _SMOOTH * size)
-    vectors = 8 * curve / lasts[:, None] ** 2
-    weights = np.full(len(clock), float(every))
-    return vectors[kept], off[kept], weights[kept]
+    return 8 * curve / lasts[:, None] ** 2, off, kept

@@ -314,7 +314,7 @@ def rest_and_end(
     third = width // 3
     sag = impact.gravity_m_s2 * (_REST_WINDOW_S / 3) ** 2
     begin, size = index + 1, _FIRST_BLOCK
-    while end - begin >= width:
+    while third and end - begin >= width:
         block = heights[begin : min(begin + size + width - 1, end)]
         windows = np.lib.stride_tricks.sliding_window_view(block, width)
         highest, lowest = windows.max(axis=1), windows.min(axis=1)

@@ -24,6 +24,9 @@ NO_FALL = (
 _HIGHEST_SIMULATED_M = 1000.0
 """Of a drop in the log's unit of length."""
 
+_MOST_MISSING = 100
+"""Samples after the end of a recording that a rollout may have, for each that was recorded."""
+
 _SHORT = 1e-5
 """Of a speed that is a difference of two heights [fall times]."""
 
@@ -97,6 +100,8 @@ def rig_like(detection: AnyDetection) -> tuple[DropRig, ContactSettings]:
     seconds = detection.observed.seconds
     wanted_s = drop.impact_s + (views.CANONICAL_SPAN + 1) * drop.fall_time_s
     missing = max(0, int(np.ceil((wanted_s - seconds[-1]) / period_s)))
+    if missing > _MOST_MISSING * len(seconds):
+        raise UsageError("its stamps are too uneven: most are close together, and some far apart")
     seconds = np.concatenate([seconds, seconds[-1] + period_s * np.arange(1, missing + 1)])
     first_s = min(float(seconds[0]), drop.release_s)
     gap_m, speed_m_s = CALIBRATED.gravity_m_s2 * drop.fall_time_s**2 / 2, 0.0

@@ -21,6 +21,7 @@ from analysis.evaluation.printing import (
 )
 from tunenet_logs.commandline import Parser, run, whole
 from tunenet_logs.errors import UsageError
+from tunenet_logs.regular_file import real_path
 from tunenet_logs.terminal import Progress, one_line
 
 _DESCRIPTION = """\
@@ -212,7 +213,7 @@ def _check(arguments: argparse.Namespace) -> None:
             continue
         if str(path) == "-":
             raise UsageError(f"--{name} -: is no file; give the name of one")
-        other = taken.setdefault(path.resolve(), name)
+        other = taken.setdefault(real_path(path), name)
         if other != name:
             raise UsageError(f"{path}: both --{other} and --{name} name it; give each its own")
         check_writable(path, f"--{name}")

@@ -17,6 +17,7 @@ from analysis.payload.driver_quirks import even_clock, in_radians, match_joints
 from analysis.selection import check_start
 from recorders.simulators.arm.description import Arm
 from tunenet_logs.arrays import Array
+from tunenet_logs.clock_jumps import part_on_grid
 from tunenet_logs.episode import Episode, Signal
 from tunenet_logs.errors import NotFoundError
 from tunenet_logs.terminal import listed
@@ -47,6 +48,13 @@ values are equal now and then."""
 
 _JUMP_RAD = 0.02
 """What an arm that begins to move covers by the next sample at most."""
+
+
+LEAST_KNOT_S = 0.04
+"""Between knots of a spline through positions: no arm's acceleration has finer detail."""
+
+_KNOTS, _KNOTS_A_SAMPLE = 50_000, 4
+"""Of a spline through positions: some minutes of rest between two motions, or so many a sample."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,11 +144,15 @@ def read_arm_log(
     last_ns = max(int(signal.stamps_ns[-1]) for signal in used)
     check_start(start_s, (last_ns - first_ns) * 1e-9)
     part = (-np.inf if start_s is None else start_s, np.inf if end_s is None else end_s)
-    positions = _fresh(position, arm, first_ns, part, rests=True)
-    if velocity is not None:
-        with suppress(NotFoundError):
-            velocities = _fresh(velocity, arm, first_ns, part, rests=True)
-    efforts = _fresh(effort, arm, first_ns, part, rests=False)
+    part, cut = _bounded(position, first_ns, part)
+    try:
+        positions = _fresh(position, arm, first_ns, part, rests=True)
+        if velocity is not None:
+            with suppress(NotFoundError):
+                velocities = _fresh(velocity, arm, first_ns, part, rests=True)
+        efforts = _fresh(effort, arm, first_ns, part, rests=False)
+    except NotFoundError as error:
+        raise NotFoundError("; ".join((str(error), *cut))) from error
     angles, remarks = in_radians(positions.seconds, positions.values, arm)
     columns = match_joints(arm.joint_names, effort.columns)
     return ArmLog(
@@ -148,8 +160,37 @@ def read_arm_log(
         position=replace(positions, values=angles),
         velocity=velocities,
         effort=efforts,
-        warnings=tuple(remarks),
+        warnings=(*remarks, *cut),
     )
+
+
+def most_knots(samples: int) -> int:
+    """How many a spline through so many positions may have, whatever their stamps say."""
+    return max(_KNOTS, _KNOTS_A_SAMPLE * samples)
+
+
+def _bounded(
+    position: Signal, first_ns: int, part: tuple[float, float]
+) -> tuple[tuple[float, float], list[str]]:
+    """The part of a log, without what lies beyond a pause so long that no spline goes over it.
+
+    Args:
+        position: of the joints.
+        first_ns: stamp of the log's first sample.
+        part: first and last time that count [s since `first_ns`].
+
+    Returns:
+        The same part, or a shorter one, and words on the pause.
+    """
+    seconds = (position.stamps_ns - first_ns).astype(np.float64) * 1e-9
+    seconds = seconds[(seconds >= part[0]) & (seconds <= part[1])]
+    if len(seconds) < _FEWEST_SAMPLES:
+        return part, []
+    knot_s = max(float(np.median(np.diff(seconds))), LEAST_KNOT_S)
+    keep, words = part_on_grid(seconds, knot_s * most_knots(len(seconds)))
+    if not words:
+        return part, []
+    return (float(seconds[keep[0]]), float(seconds[keep[-1]])), list(words)
 
 
 def _checked_topic(episode: Episode, arm: Arm, topic: str) -> str:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.payload.arm_log import ArmLog
+from analysis.payload.arm_log import LEAST_KNOT_S, ArmLog, most_knots
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import NotFoundError
 
@@ -41,9 +41,6 @@ _MEAN_SPAN_S = 0.05
 
 _DEGREE = 5
 """Of the spline: its second derivative is a cubic, smooth itself."""
-
-_LEAST_KNOT_S = 0.04
-"""Between knots: no arm's acceleration has finer detail."""
 
 _STIFFNESSES = np.logspace(-9, 7, 65)
 """Penalty weights that are compared: from interpolation to a parabola, four a decade."""
@@ -137,8 +134,9 @@ def smoothing_spline(seconds: Array, values: Array, late_s: float = 0.0) -> BSpl
     from scipy.sparse import dia_array
     from scipy.sparse.linalg import splu
 
-    step = max(float(np.median(np.diff(seconds))), _LEAST_KNOT_S)
-    cells = max(int(np.ceil((seconds[-1] - seconds[0]) / step)), _DEGREE)
+    step = max(float(np.median(np.diff(seconds))), LEAST_KNOT_S)
+    cells = int(np.ceil((seconds[-1] - seconds[0]) / step))
+    cells = min(max(cells, _DEGREE), most_knots(len(seconds)))
     step = (seconds[-1] - seconds[0]) / cells
     knots = seconds[0] + step * np.arange(-_DEGREE, cells + _DEGREE + 1)
     design = BSpline.design_matrix(seconds, knots, _DEGREE, extrapolate=True).tocsc()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from analysis.payload.presets import (
     payload_readings,
 )
 from analysis.payload.torque_fit import fit_payload
+from analysis.plausible import plausible
 from recorders.simulators.arm.description import Arm
 from recorders.simulators.arm.dynamics import held_efforts_nm
 from recorders.simulators.arm.path import JointPath
@@ -25,6 +26,7 @@ from recorders.simulators.arm.payload import PAYLOAD_MASS, TOPIC, PayloadSimulat
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import LogError, NotFoundError
+from tunenet_logs.one_clock import jump_warnings, on_one_clock
 from tunenet_logs.reader import read_episode
 
 EFFORT = f"{TOPIC}.effort"
@@ -62,7 +64,8 @@ def read_tare(tare: Path | Episode, arm: Arm, log: ArmLog, topic: str | None) ->
     """
     name = f" {tare}" if isinstance(tare, Path) else ""
     try:
-        episode = read_episode(tare) if isinstance(tare, Path) else tare
+        recorded = plausible(read_episode(tare)) if isinstance(tare, Path) else tare
+        episode = on_one_clock(recorded)
         prefer = topic or log.effort.topic
         has_joints = any(signal.unit in JOINT_UNITS for signal in episode.signals_of(prefer))
         empty = read_arm_log(episode, arm, topic=prefer if has_joints else None)
@@ -77,7 +80,8 @@ def read_tare(tare: Path | Episode, arm: Arm, log: ArmLog, topic: str | None) ->
             raise NotFoundError(
                 "has the torques of the log itself: name another run, with nothing in the gripper"
             )
-        return Tare(empty, arm_motion(empty))
+        motion = arm_motion(empty)
+        return Tare(replace(empty, warnings=(*empty.warnings, *jump_warnings(recorded))), motion)
     except (LogError, NotFoundError) as error:
         reason = str(error).removeprefix(f"{tare}: ")
         raise NotFoundError(f"--tare{name}: {reason}") from error

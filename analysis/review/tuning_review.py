@@ -21,6 +21,7 @@ from analysis.review.drawing import LOG_TIME, entity_of, send_scalars
 from analysis.review.pictures import log_recorded_film
 from analysis.review.verdict import VERDICT_SHARE, log_verdict
 from analysis.review.words import result_words
+from tunenet_logs.regular_file import real_path
 from tunenet_logs.terminal import one_line
 
 _MOST_CURVES = 150
@@ -53,7 +54,7 @@ def write_review(tuning: Tuning, record: Record, path: Path) -> None:
     Raises:
         OSError: `path` cannot be written.
     """
-    identity = os.fsencode(tuning.log.resolve()) + f" {tuning.preset} {tuning.digest}".encode()
+    identity = os.fsencode(real_path(tuning.log)) + f" {tuning.preset} {tuning.digest}".encode()
     name = hashlib.sha256(identity).hexdigest()[:16]
     if record.provenance is not None and record.provenance.log_sha256:
         name = review_name(record.provenance.log_sha256)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Set
 from contextlib import suppress
 
 import numpy as np
 
 from analysis.selection import check_start
 from tunenet_logs.arrays import Picture
+from tunenet_logs.clock_jumps import filmed_part
 from tunenet_logs.episode import Episode, Frame
 from tunenet_logs.errors import LogError, NotFoundError, UsageError
 from tunenet_logs.timestamp_correction import correct_late_stamps
@@ -37,6 +38,7 @@ class Pictures:
         scale: by which they are reduced, a whole number.
         other_size: number of pictures of another size than most, left out.
         opened: number of pictures of the topic that can be read, in the part selected or not.
+        jumps: where the clock jumps, in words; what lies beyond is left out. Empty if nowhere.
         damaged: number of pictures that could not be decoded and are left out.
         samples: 32 to 64 of the pictures, evenly over the recording (all of a short one), reduced.
         sampled: their numbers, increasing, shape (N,).
@@ -62,6 +64,27 @@ class Pictures:
         self._topic = topic
         self._start_s = start_s
         self._end_s = end_s
+        self._one_clock: Set[int] | None = None
+        self._recorded_ns: list[int] = []
+        reason: NotFoundError | None = None
+        try:
+            self._look_through()
+        except NotFoundError as why:  # a jump may hide the part that is selected
+            reason = why
+        part = filmed_part(np.array(self._recorded_ns, np.int64))
+        self.jumps = part.words
+        if part.words:
+            self._one_clock = frozenset(part.keep.tolist())
+            self._look_through()
+        elif reason is not None:
+            raise reason
+
+    def _look_through(self) -> None:
+        """Decode every picture once, for the stamps, the size and some samples.
+
+        Raises:
+            NotFoundError: there is none, or the part begins past the last one.
+        """
         self.start_ns = 0
         self.length_s = 0.0
         self.damaged = 0
@@ -169,10 +192,15 @@ class Pictures:
 
     def _selected(self) -> Iterator[tuple[int, Frame]]:
         """Frames of the part selected, each with its number in the topic."""
+        self._recorded_ns = []
+        start_ns: int | None = None
         for index, frame in enumerate(readable_frames(self._episode, self._topic)):
             self.opened = index + 1
-            if index == 0:
-                self.start_ns = frame.stamp_ns
+            self._recorded_ns.append(frame.stamp_ns)
+            if self._one_clock is not None and index not in self._one_clock:
+                continue
+            if start_ns is None:
+                start_ns = self.start_ns = frame.stamp_ns
             since_s = (frame.stamp_ns - self.start_ns) * 1e-9
             self.length_s = max(self.length_s, since_s)
             if self._start_s is not None and since_s < self._start_s:

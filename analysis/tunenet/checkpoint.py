@@ -11,14 +11,19 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
+from analysis.result_files import replacing
 from analysis.tunenet.network import NETWORKS, Model, Scaling
+from analysis.tunenet.weights_file import REMEDY, read_weights_file
 from tunenet_logs.errors import WeightsError
+from tunenet_logs.small_files import parse_json
+from tunenet_logs.terminal import one_line, short_name
 
 FORMAT = "tunenet-weights/1"
-_MAX_BYTES = 256 * 1024 * 1024
+_MOST_RATES, _MOST_HZ = 100, 1e6
+"""Sampling rates of one network, and the highest."""
+
 _SCALING = ("input_offset", "input_gain", "output_offset", "output_gain")
 
 
@@ -59,10 +64,9 @@ def save_model(path: Path, model: Model, purpose: Purpose, notes: Mapping[str, s
     tensors |= {f"scaling.{name}": getattr(model.scaling, name) for name in _SCALING}
     header = {"format": FORMAT, "network": model.network.kind, **_strings(purpose), **notes}
     header["digest"] = _digest(tensors, header)
-    partial = path.with_name(path.name + ".partial")
     try:
-        partial.write_bytes(save(tensors, header))
-        partial.replace(path)
+        with replacing(path) as partial:
+            partial.write_bytes(save(tensors, header))
     except OSError as error:
         raise WeightsError(f"{path}: cannot be written ({error.strerror})") from error
     return header["digest"]
@@ -81,40 +85,52 @@ def load_model(path: Path, purpose: Purpose) -> Model:
     Raises:
         WeightsError: says which, and what to do.
     """
-    try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise WeightsError(f"{path}: is larger than any weights of this project")
-        with safe_open(path, framework="numpy") as file:
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (no dict)
-            header = file.metadata() or {}
-    except FileNotFoundError as error:
-        raise WeightsError(f"{path}: no such file") from error
-    except (OSError, SafetensorError, TypeError, ValueError) as error:
-        raise WeightsError(f"{path}: is not a readable safetensors file ({error})") from error
+    file = read_weights_file(path)
+    header = dict(file.metadata)
     if header.get("format") != FORMAT:
-        raise WeightsError(f"{path}: holds no weights of tunenet-train")
+        raise WeightsError(f"{path}: holds no weights of tunenet-train; give --weights such a file")
     for name, wanted in _strings(purpose).items():
-        if name != "rates_hz" and header.get(name) != wanted:
+        told = header.get(name, "")
+        if name != "rates_hz" and told != wanted:
             raise WeightsError(
-                f"{path}: weights for {name} {header.get(name, '')[:80]!r}, not {wanted!r}; "
+                f"{path}: weights for {name} {one_line(told[:80])!r}, not {wanted!r}; "
                 f"make fitting ones with tunenet-train {purpose.task} --preset {purpose.preset}"
             )
+    if not _are_rates(header.get("rates_hz", "")):
+        raise WeightsError(f"{path}: rates_hz is no list of rates; {REMEDY}")
     digest = header.pop("digest", "")
     network = NETWORKS.get(header.get("network", ""))
-    if network is None or digest != _digest(tensors, header):
-        raise WeightsError(
-            f"{path}: the weights are damaged (wrong digest); train or copy them again"
-        )
-    expected = network.shapes(purpose.inputs, purpose.outputs)
-    expected |= {f"scaling.{name}": () for name in _SCALING}
-    for name, shape in expected.items():
-        tensor = tensors.get(name)
-        fits = tensor is not None and (name.startswith("scaling.") or tensor.shape == shape)
-        if tensor is None or not fits or not np.isfinite(tensor).all():
-            raise WeightsError(f"{path}: tensor {name!r} is missing, misshapen or not finite")
+    if network is None:
+        kind = short_name(header.get("network", ""))
+        raise WeightsError(f"{path}: network {kind!r} is none of {', '.join(NETWORKS)}; {REMEDY}")
+    shapes = network.shapes(purpose.inputs, purpose.outputs)
+    tensors = file.tensors(
+        {name: [shape] for name, shape in shapes.items()} | _scaling_shapes(purpose)
+    )
+    if digest != _digest(tensors, header):
+        raise WeightsError(f"{path}: the weights are damaged (wrong digest); {REMEDY}")
     scaling = Scaling(*(tensors[f"scaling.{name}"] for name in _SCALING))
-    weights = {name: tensors[name] for name in network.shapes(purpose.inputs, purpose.outputs)}
-    return Model(network, weights, scaling, digest)
+    return Model(network, {name: tensors[name] for name in shapes}, scaling, digest)
+
+
+def _scaling_shapes(purpose: Purpose) -> dict[str, list[tuple[int, ...]]]:
+    """One number for all inputs or outputs, or one for each."""
+    return {
+        f"scaling.{name}": [(1,), (purpose.inputs if "input" in name else purpose.outputs,)]
+        for name in _SCALING
+    }
+
+
+def _are_rates(text: str) -> bool:
+    try:
+        rates = parse_json(text)
+    except ValueError:
+        return False
+    return (
+        isinstance(rates, list)
+        and 0 < len(rates) <= _MOST_RATES
+        and all(type(rate) in (int, float) and 0 < rate <= _MOST_HZ for rate in rates)
+    )
 
 
 def _strings(purpose: Purpose) -> dict[str, str]:

@@ -129,9 +129,8 @@ WRITERS = (
     Fault(
         "on a disk that knows no nameless files, a new outcome takes another's place",
         "tunenet_logs/output/new_file.py",
-        "        if path.exists():\n"
-        "            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))\n",
-        "",
+        "        rename_new(aside, path)\n",
+        "        aside.replace(path)\n",
         ("tests/tunenet_logs/test_outcome.py",),
     ),
     Fault(

@@ -86,8 +86,8 @@ READERS = (
     Fault(
         "the rate of a channel counts an interval more than there are",
         "tunenet_logs/describe.py",
-        "(channel.messages - 1) / duration_s",
-        "channel.messages / duration_s",
+        "{periods / duration_s:.1f}",
+        "{channel.messages / duration_s:.1f}",
         ("tests/tunenet_logs/test_cli.py",),
     ),
 )
@@ -96,9 +96,23 @@ WRITERS = (
     Fault(
         "a recording that a full disk cut replaces the whole one that was there",
         "tunenet_logs/output/log_place.py",
-        "if self.path.exists() and (is_cut or not self._overwrite):",
-        "if self.path.exists() and not self._overwrite:",
+        "replaces = self._overwrite and not is_cut",
+        "replaces = self._overwrite",
         ("tests/tunenet_logs/test_full_disk.py",),
+    ),
+    Fault(
+        "a second recorder takes the file that the first one writes",
+        "tunenet_logs/output/claimed_name.py",
+        "        if lock is False:\n",
+        "        if lock is None:\n",
+        ("tests/recorders/test_ownership.py",),
+    ),
+    Fault(
+        "a recorder does not notice that its file is gone",
+        "tunenet_logs/writer.py",
+        "                self._look_after_the_file()\n",
+        "",
+        ("tests/recorders/test_ownership.py",),
     ),
     Fault(
         "the end of a log counts each topic's messages in its last chunk alone",

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from recorders.camera.base import Source
+from recorders.camera.measured_rate import measured_hz
 from recorders.session import Summary, stop_flag
 from recorders.topic_queue import TopicQueue
 from tunenet_logs.episode import EpisodeInfo, Frame
@@ -24,6 +22,10 @@ from tunenet_logs.writer import EpisodeWriter
 
 if TYPE_CHECKING:
     from recorders.camera.preview import Preview
+
+
+_NOTICE_S = 0.3
+"""For a camera to notice that it is over: Ctrl-C shall be quick though one is silent."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,7 @@ def record_camera(
         if not queue.captured:
             writer.discard()
             raise reader.error or CameraError(_nothing_came(source, ended))
-        rate_hz = measured_hz(queue.tally(CAMERA_TOPIC).stamps_ns)
+        rate_hz = measured_hz(queue.tally(CAMERA_TOPIC).stamps_ns, live=source.live)
         if rate_hz:
             writer.note("measured_hz", f"{rate_hz:.3f}")
         for name, text in source.notes().items():
@@ -102,13 +104,6 @@ def record_camera(
     return Summary(
         queue.captured, writer.written, queue.dropped, ended, source.damaged, rate_hz=rate_hz
     )
-
-
-def measured_hz(stamps_ns: Sequence[int]) -> float:
-    """Median rate of frames [Hz]; 0 for fewer than two."""
-    if len(stamps_ns) < 2:
-        return 0.0
-    return 1e9 / float(np.median(np.diff(np.array(stamps_ns, np.int64))))
 
 
 class _Reader(threading.Thread):
@@ -169,7 +164,7 @@ class _Reader(threading.Thread):
         """Take no more frames, and wait a moment for the source to notice."""
         self.queue.close()
         self.source.close()
-        self.join(1.0)
+        self.join(_NOTICE_S)
 
 
 def _write_frames(

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
+from recorders.camera.delimiters import TAIL_BYTES, Delimiters
 from tunenet_logs.errors import CameraError
 
 MAX_PART_BYTES = 32 * 1024 * 1024
@@ -14,12 +14,8 @@ MAX_PART_BYTES = 32 * 1024 * 1024
 _MAX_HEADER_BYTES = 16 * 1024
 """Of the headers of one part: a camera sends about 100."""
 
-_DASHES = rb"-{2,70}"  # bounded: a long run of dashes must not be searched again from each of them
 _READ_BYTES = 256 * 1024
 """The most that one read takes: a few pictures."""
-
-_TAIL_BYTES = 512
-"""Longer than any delimiter: kept when what lies before a delimiter is thrown away."""
 
 
 @dataclass(frozen=True)
@@ -50,11 +46,7 @@ class MultipartParser:
     def __init__(
         self, read: Callable[[int], bytes], boundary: str, clock_ns: Callable[[], int]
     ) -> None:
-        token = re.escape(boundary.lstrip("-").encode("latin-1", "replace"))
-        any_token = rb"[0-9A-Za-z'()+_,./:=?-]{1,70}"
-        self._delimiter = re.compile(_DASHES + (token or any_token) + rb"(--)?[ \t]*\r?\n")
-        before = rb"\r?\n" if token else rb"(?<=\xff\xd9)[\s\0]*"
-        self._end_of_body = re.compile(before + _DASHES + (token or any_token) + rb"(--)?[ \t\r\n]")
+        self._delimiters = Delimiters(boundary.lstrip("-").encode("latin-1", "replace"))
         self._read = read
         self._clock_ns = clock_ns
         self._buffer = bytearray()
@@ -85,17 +77,20 @@ class MultipartParser:
 
     def _skip_delimiter(self) -> bool:
         """Go behind the next delimiter; False at the end of the stream."""
-        skipped = 0
-        while (found := self._delimiter.search(self._buffer)) is None:
-            surplus = max(0, len(self._buffer) - _TAIL_BYTES)
+        skipped = looked = 0
+        while True:
+            found, looked = self._delimiters.line(self._buffer, looked)
+            if found is not None:
+                del self._buffer[: found.end]
+                return not found.closes
+            surplus = max(0, looked - TAIL_BYTES)
             del self._buffer[:surplus]
+            looked -= surplus
             skipped += surplus
-            if skipped > MAX_PART_BYTES:
+            if max(skipped, len(self._buffer)) > MAX_PART_BYTES:
                 raise CameraError("sends no part of a multipart stream; is it a camera's stream?")
             if not self._fill():
                 return False
-        del self._buffer[: found.end()]
-        return not found.group(1)  # a delimiter with dashes behind it closes the stream
 
     def _content_length(self) -> int | None:
         """Read a part's headers; what they state as its length."""
@@ -125,20 +120,20 @@ class MultipartParser:
         body = bytes(self._buffer[:length])
         cut = None
         if not body.rstrip(b"\0 \t\r\n").endswith(b"\xff\xd9"):  # less came than was stated?
-            cut = self._end_of_body.search(body)
-        used = len(body) if cut is None else cut.start()
+            cut, _ = self._delimiters.end_of_body(body, 0, is_all=True)
+        used = len(body) if cut is None else cut
         del self._buffer[:used]
         return body[:used]
 
     def _until_delimiter(self) -> bytes:
-        start = 0
-        while (found := self._end_of_body.search(self._buffer, start)) is None:
-            start = max(0, len(self._buffer) - _TAIL_BYTES)
+        looked = 0
+        while True:
+            end, looked = self._delimiters.end_of_body(self._buffer, looked, is_all=self._at_end)
+            if end is not None or self._at_end:
+                break
             if len(self._buffer) > MAX_PART_BYTES:
                 raise CameraError(f"sends a part of more than {MAX_PART_BYTES} bytes")
-            if not self._fill():
-                break
-        end = len(self._buffer) if found is None else found.start()
+            self._fill()
         body = bytes(self._buffer[:end])
-        del self._buffer[:end]
-        return body if found else body.removesuffix(b"\r\n")
+        del self._buffer[: len(body)]
+        return body.removesuffix(b"\r\n") if end is None else body

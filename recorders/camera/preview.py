@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from recorders.camera.measured_rate import measured_hz
 from recorders.loopback_page import Answer, LoopbackPage, as_json, place_in
 from tunenet_logs.episode import Frame
 from tunenet_logs.errors import LogError
@@ -122,12 +123,12 @@ class Preview:
         """What the page shows beside the picture."""
         with self._changed:
             frame, shown, dropped = self._frame, self._shown, self._dropped
-            periods_ns = np.diff(np.array(self._stamps_ns, np.int64))
+            rate_hz = measured_hz(self._stamps_ns, live=True)
         state: dict[str, Any] = {
             "is_recording": self.record.is_set(),
             "frames": shown,
             "dropped": dropped,
-            "rate_hz": round(1e9 / float(np.median(periods_ns)), 1) if len(periods_ns) else 0.0,
+            "rate_hz": round(rate_hz, 1),
             "ball_at_px": [self.click.x_px, self.click.y_px] if self.click else None,
         }
         return state | (_light(frame.data) if frame else {})

@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 from recorders.camera.base import Source
+from recorders.camera.opening import opened_within
 from recorders.camera.settings import Settings
 from tunenet_logs.errors import UsageError
 
@@ -17,6 +18,12 @@ _OPTIONS = {
     "focus": "--focus",
 }
 """By a setting's name, the option that asks for it: an error names what the user wrote."""
+
+_SPARE_S = 5.0
+"""Beyond what a camera's own reading allows: for name servers, and for its own, clearer error."""
+
+_DEVICE_S = 30.0
+"""For a plugged-in camera: drivers try some seconds long, and each setting may take its own."""
 
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://")
 """What an address begins with, by RFC 3986; a device or a file has none."""
@@ -55,17 +62,23 @@ def open_source(
     if is_device:
         from recorders.camera.device import CameraDevice
 
-        return CameraDevice(Path(f"/dev/video{int(text)}" if is_number else text), settings)
+        path = Path(f"/dev/video{int(text)}" if is_number else text)
+        return opened_within(_DEVICE_S, str(path), lambda: CameraDevice(path, settings))
     if scheme in ("http", "https"):
         from recorders.camera.address import Address
-        from recorders.camera.mjpeg_stream import MjpegStream
+        from recorders.camera.mjpeg_stream import OPENING_S, MjpegStream
 
-        return MjpegStream(Address.of(text), timeout_s)
+        address = Address.of(text)
+        longest_s = max(OPENING_S, timeout_s) + _SPARE_S
+        return opened_within(longest_s, address.shown, lambda: MjpegStream(address, timeout_s))
     if scheme == "rtsp":
         from recorders.camera.address import Address
         from recorders.camera.rtsp_stream import RtspStream
 
-        return RtspStream(Address.of(text), timeout_s)
+        address = Address.of(text)
+        # Connecting and learning what the stream holds have the time-out each.
+        longest_s = 2 * timeout_s + _SPARE_S
+        return opened_within(longest_s, address.shown, lambda: RtspStream(address, timeout_s))
     if scheme:
         raise UsageError(f"--camera: {scheme} is not recorded; use http, https, rtsp or a file")
     from recorders.camera.video_file import VideoFile

@@ -21,6 +21,9 @@ _GAP_PERIODS = 2.5
 _SHORTEST_GAP_NS = 10_000_000
 """An arm does not get far in less, and computers without a real-time kernel are late by that."""
 
+_SHORTEST_NS = 10_000
+"""Between samples: those that are closer came in one piece, and tell no rate."""
+
 
 class Pace:
     """Rate and gaps of samples, in little memory however many there are.
@@ -48,9 +51,11 @@ class Pace:
 
     @property
     def rate_hz(self) -> float:
-        """Of the last 200 samples, by their median interval [Hz]; 0 where there are too few."""
+        """Of the last 200 samples, by their median interval [Hz]; 0 where they tell none."""
         self._settle()
-        return 1e9 / self._usual_ns() if len(self._recent) >= _FEWEST else 0.0
+        if len(self._recent) < _FEWEST or self._usual_ns() < _SHORTEST_NS:
+            return 0.0
+        return 1e9 / self._usual_ns()
 
     @property
     def gaps(self) -> int:

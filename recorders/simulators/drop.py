@@ -43,6 +43,9 @@ _LIMITS = {
     "speed_m_s": (-1000.0, 1000.0, "m/s"),
 }
 
+_LONGEST_S = 3600.0
+"""Of a rollout at given times: a ball that keeps its height bounces as long as it is asked to."""
+
 
 @dataclass(frozen=True)
 class DropRig:
@@ -83,6 +86,10 @@ class DropRig:
                     raise UsageError(
                         f"{item.name} {value:g} is not from {low:g} to {high:g} {unit}".rstrip()
                     )
+        if self.times_s and not self.times_s[-1] <= _LONGEST_S:
+            raise UsageError(
+                f"its last sample is after {self.times_s[-1]:.4g} s, not within an hour"
+            )
 
     def sample_s(self) -> Array:
         """When samples are taken [s after the start], shape (T,)."""

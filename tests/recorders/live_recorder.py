@@ -1,7 +1,7 @@
 """A camera at 60 Hz and an arm at 1 kHz, recorded in a process that may be ended at any moment.
 
-`python -m tests.recorders.live_recorder FOLDER TOPIC...` records FOLDER/a.mcap until a signal ends
-it. In FOLDER/progress it keeps how many messages of each stream it has put, when the last one was,
+`python -m tests.recorders.live_recorder FOLDER LOG TOPIC...` records LOG until a signal ends it. In
+FOLDER/progress it keeps how many messages of each stream it has put, when the last one was,
 and how many of all streams were acknowledged as written by then. What a message holds follows from
 its number alone.
 """
@@ -9,11 +9,12 @@ its number alone.
 from __future__ import annotations
 
 import mmap
+import os
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -95,18 +96,18 @@ def put(recording: LiveRecording, topic: str, progress: Progress) -> None:
 
 
 def main() -> int:
-    folder = Path(sys.argv[1])
+    folder, log = map(Path, sys.argv[1:3])
     progress = Progress(folder / "progress")
     for number in range(_DISTINCT):
         frame_of(number)
     try:
         with (
             stop_flag() as stop,
-            LiveRecording(folder / "a.mcap", EpisodeInfo(kind="test"), stop=stop) as recording,
+            LiveRecording(log, EpisodeInfo(kind="test"), stop=stop) as recording,
         ):
             threads = [
                 threading.Thread(target=put, args=(recording, topic, progress))
-                for topic in sys.argv[2:]
+                for topic in sys.argv[3:]
             ]
             for thread in threads:
                 thread.start()
@@ -121,11 +122,17 @@ def main() -> int:
     return 0
 
 
-def started(folder: Path, topics: Iterable[str] = RATES_HZ) -> subprocess.Popen[str]:
-    """The recorder in a process of its own, once it records."""
+def started(
+    folder: Path,
+    topics: Iterable[str] = RATES_HZ,
+    log: Path | None = None,
+    environment: Mapping[str, str] | None = None,
+) -> subprocess.Popen[str]:
+    """The recorder in a process of its own, once it records; to FOLDER/a.mcap if not told."""
+    words = [str(folder), str(log or folder / "a.mcap"), *topics]
     process = subprocess.Popen(
-        [sys.executable, "-m", "tests.recorders.live_recorder", str(folder), *topics],
-        cwd=ROOT, stdout=subprocess.PIPE, text=True,
+        [sys.executable, "-m", "tests.recorders.live_recorder", *words],
+        cwd=ROOT, stdout=subprocess.PIPE, text=True, env=os.environ | dict(environment or {}),
     )  # fmt: skip
     assert process.stdout is not None
     assert process.stdout.readline() == "ready\n"

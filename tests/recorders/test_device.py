@@ -15,6 +15,7 @@ import pytest
 
 from recorders.camera.capture import Limits, record_camera
 from recorders.camera.device import CameraDevice
+from recorders.camera.measured_rate import measured_hz
 from recorders.camera.settings import Settings
 from tests.recorders.live_wait import LAST_RESORT_S
 from tests.recorders.mjpeg_camera import number_in, picture
@@ -137,8 +138,8 @@ def test_without_stamps_of_the_driver_arrival_counts(
     stamps_ns = [frame.stamp_ns for frame in episode.frames()]
     for number, stamp_ns in enumerate(stamps_ns):
         assert wall_ns(read_ns[number]) <= stamp_ns < wall_ns(read_ns[number + 1])
-    measured_hz = 1e9 / np.median(np.diff(stamps_ns))
-    assert float(episode.info.notes["measured_hz"]) == pytest.approx(measured_hz, abs=0.001)
+    rate_hz = measured_hz(stamps_ns, live=True)
+    assert float(episode.info.notes["measured_hz"]) == pytest.approx(rate_hz, abs=0.001)
 
 
 def test_a_camera_without_jpegs_has_its_pixels_compressed(

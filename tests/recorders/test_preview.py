@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import signal
+import socket
 import subprocess
+import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -106,7 +109,7 @@ def test_figures_are_there_from_the_first_frame_on():
         for stamp_ns in (5, 6, 7):  # three frames that arrived in one read
             preview.show(Frame(stamp_ns, "jpeg", picture(1)), 0)
             assert preview.state()["size_px"] == [320, 240]
-        assert preview.state()["rate_hz"] > 0
+        assert preview.state()["rate_hz"] == 0  # of such a burst nothing is known
     finally:
         preview.close()
 
@@ -190,3 +193,57 @@ def test_a_file_has_none(command: Command, tmp_path: Path):
     assert result.returncode == 2
     assert result.stderr.count("\n") == 1
     assert [one.name for one in tmp_path.iterdir()] == ["a.mp4"]
+
+
+def test_a_request_that_drips_and_too_many_of_them_are_ended(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("recorders.loopback_page._REQUEST_SECONDS", 1.0)
+    preview = Preview()
+    page = Page(preview.url)
+    host, port = page.host.split(":")
+    try:
+        with ExitStack() as callers:
+            dripping = [
+                callers.enter_context(socket.create_connection((host, int(port)), LAST_RESORT_S))
+                for _ in range(40)
+            ]
+            ended = threading.Event()
+            threading.Thread(target=drip, args=(dripping, ended), daemon=True).start()
+            for caller in dripping:
+                caller.settimeout(LAST_RESORT_S)
+                with suppress(ConnectionError):
+                    assert caller.recv(1) == b""  # it hung up, though something came all the time
+            ended.set()
+        assert page.ask("GET", "/state")[0] == 200
+    finally:
+        preview.close()
+
+
+def drip(callers: list[socket.socket], ended: threading.Event) -> None:
+    """Send a header byte by byte to all of them."""
+    while not ended.wait(0.05):
+        for caller in callers:
+            with suppress(OSError):
+                caller.send(b"G")
+
+
+def test_a_viewer_that_takes_nothing_does_not_hold_up_the_end(tmp_path: Path):
+    with previewing(tmp_path) as page:
+        page.wait(5)
+        host, port = page.host.split(":")
+        with socket.create_connection((host, int(port)), LAST_RESORT_S) as viewer:
+            viewer.sendall(f"GET {page.secret}/live HTTP/1.0\r\nHost: {page.host}\r\n\r\n".encode())
+            page.wait(page.state()["frames"] + 50)
+            page.process.send_signal(signal.SIGINT)
+            page.process.communicate(timeout=LAST_RESORT_S)
+    assert page.process.returncode == 1  # before a frame was recorded
+
+
+def test_addresses_cannot_be_guessed():
+    pages = [Preview(), Preview()]
+    try:
+        secrets = [Page(page.url).secret for page in pages]
+        assert secrets[0] != secrets[1]
+        assert all(len(secret) >= 20 for secret in secrets)
+    finally:
+        for page in pages:
+            page.close()

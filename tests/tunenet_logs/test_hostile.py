@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from tests.conftest import BIN, ROOT
-from tests.hostile import BOMBS, LAUNCHER
+from tests.hostile import BOMBS, LAUNCHER, spent
 
 MOST_BYTES = 512 * 2**20
 EACH_BOMB = pytest.mark.parametrize("bomb", BOMBS, ids=lambda bomb: bomb.__name__)
@@ -54,9 +54,7 @@ def test_a_bomb_is_one_clean_line_and_costs_little(met: dict, bomb: Callable, wo
 def test_so_it_is_in_a_process_of_its_own(tmp_path: Path, bomb: Callable, words: str):
     bomb(tmp_path / "bomb.mcap")
     command, *rest = words.split()
-    line = [sys.executable, "-c", LAUNCHER, str(BIN / command), *rest, "bomb.mcap"]
-    done = subprocess.run(line, cwd=tmp_path, capture_output=True, text=True, timeout=120)
-    said, _, peak = (done.stdout + done.stderr).rpartition("peak ")
-    assert "Traceback" not in said
-    assert done.returncode == code_for(bomb, words), said
-    assert int(peak) * 1024 < MOST_BYTES
+    told = spent([str(BIN / command), *rest, "bomb.mcap"], tmp_path)
+    assert "Traceback" not in told.said
+    assert told.code == code_for(bomb, words), told.said
+    assert told.peak_kib * 1024 < MOST_BYTES

@@ -13,6 +13,7 @@ from tunenet_logs.describe import describe
 from tunenet_logs.formats import ros
 from tunenet_logs.formats.base import RawChannel, UnusableError
 from tunenet_logs.formats.ros import ros_decoder
+from tunenet_logs.formats.ros_definitions import idl_types
 from tunenet_logs.messages import encode, pose, typestore
 from tunenet_logs.reader import read_episode
 
@@ -89,3 +90,8 @@ def test_a_long_topic_does_not_widen_the_table(tmp_path: Path):
     assert len(named) == 2  # in the table and on the timeline
     assert all("…" in line and "/end " in line for line in named)
     assert max(map(len, lines[1:])) < 160
+
+
+def test_a_text_that_never_ends_is_no_definition():
+    with pytest.raises(Exception, match=r"."):  # as the parser of IDL says
+        idl_types("struct position {\n" + '"\\' * 30_000)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 import os
 import zlib
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -39,8 +41,24 @@ def by_the_library(flushes: bool) -> bytes:
     return file.getvalue()
 
 
-def by_us(path: Path, flushes: bool, *, ends: bool = True) -> McapOutput:
-    output = McapOutput(WholeFile(path), "ros2", "ours")
+Opened = Callable[[Path], WholeFile]
+
+
+@pytest.fixture
+def opened() -> Iterator[Opened]:
+    """Opens files, empty, which are closed at the end."""
+    with ExitStack() as stack:
+
+        def one(path: Path) -> WholeFile:
+            descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_TRUNC, 0o666)
+            stack.callback(os.close, descriptor)
+            return WholeFile(descriptor)
+
+        yield one
+
+
+def by_us(file: WholeFile, flushes: bool, *, ends: bool = True) -> McapOutput:
+    output = McapOutput(file, "ros2", "ours")
     output.add_metadata("first", {"a": "1"})
     channels: list[int] = []
     for number, (which, time_ns, data) in enumerate(MESSAGES):
@@ -57,28 +75,28 @@ def by_us(path: Path, flushes: bool, *, ends: bool = True) -> McapOutput:
 
 
 @pytest.mark.parametrize("flushes", [False, True])
-def test_the_bytes_are_those_of_the_library(tmp_path: Path, flushes: bool):
-    output = by_us(tmp_path / "a.mcap", flushes)
+def test_the_bytes_are_those_of_the_library(tmp_path: Path, opened: Opened, flushes: bool):
+    output = by_us(opened(tmp_path / "a.mcap"), flushes)
     assert output.message_count == len(MESSAGES)
     assert (tmp_path / "a.mcap").read_bytes() == by_the_library(flushes)
 
 
-def test_a_log_without_messages_is_one_too(tmp_path: Path):
-    output = McapOutput(WholeFile(tmp_path / "a.mcap"), "ros2", "ours")
+def test_a_log_without_messages_is_one_too(tmp_path: Path, opened: Opened):
+    output = McapOutput(opened(tmp_path / "a.mcap"), "ros2", "ours")
     output.end("last", {})
     with (tmp_path / "a.mcap").open("rb") as file:
         assert list(make_reader(file, validate_crcs=True).iter_messages()) == []
 
 
-def test_what_is_given_up_of_the_end_as_room_gets_short(tmp_path: Path):
+def test_what_is_given_up_of_the_end_as_room_gets_short(tmp_path: Path, opened: Opened):
     """Every log that has an end reads to its last message, however little of it fits."""
-    by_us(tmp_path / "whole.mcap", flushes=True)
+    by_us(opened(tmp_path / "whole.mcap"), flushes=True)
     whole = (tmp_path / "whole.mcap").stat().st_size
-    by_us(tmp_path / "open.mcap", flushes=True, ends=False)
+    by_us(opened(tmp_path / "open.mcap"), flushes=True, ends=False)
     endless = (tmp_path / "open.mcap").stat().st_size
     forms: list[tuple[bool, ...]] = []
     for limit in range(whole, endless - 1, -9):
-        output = by_us(tmp_path / "a.mcap", flushes=True, ends=False)
+        output = by_us(opened(tmp_path / "a.mcap"), flushes=True, ends=False)
         with files_no_larger_than(limit):
             is_ended = output.end_as_fits("last", {"b": "2", "é": "ü"})
         if not is_ended:
@@ -108,8 +126,8 @@ def test_what_is_given_up_of_the_end_as_room_gets_short(tmp_path: Path):
 
 
 @pytest.mark.parametrize("step", [1, 50, 997])
-def test_a_piece_that_does_not_fit_leaves_no_trace(tmp_path: Path, step: int):
-    file = WholeFile(tmp_path / "a")
+def test_a_piece_that_does_not_fit_leaves_no_trace(tmp_path: Path, opened: Opened, step: int):
+    file = opened(tmp_path / "a")
     pieces = [os.urandom(one * step % 300 + 1) for one in range(60)]
     taken = b""
     with files_no_larger_than(4000):

@@ -15,7 +15,7 @@ import zstandard
 
 from tests.conftest import Command, real, record
 from tunenet_logs.errors import LogError
-from tunenet_logs.formats import compression
+from tunenet_logs.formats import budget
 from tunenet_logs.reader import read_episode
 from tunenet_logs.recovery import recover
 
@@ -85,7 +85,7 @@ def test_damage_in_the_middle_is_said(log: Path):
 
 
 def test_a_bomb_is_refused(log: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(compression, "_FREE_BYTES", 10_000_000)
+    monkeypatch.setattr(budget, "_FREE_BYTES", 10_000_000)
     packer = zstandard.ZstdCompressor().compressobj()
     packed = log.with_name("bomb.mcap.zst")
     with packed.open("wb") as file:
@@ -101,8 +101,8 @@ def test_what_lies_inside_shares_the_budget_of_the_file(log: Path, monkeypatch: 
     data = log.read_bytes()
     packed = log.with_name("a.mcap.zst")
     packed.write_bytes(zstandard.compress(data))
-    monkeypatch.setattr(compression, "_FREE_BYTES", len(data) + 10_000)
-    monkeypatch.setattr(compression, "_MOST_RATIO", 0)
+    monkeypatch.setattr(budget, "_FREE_BYTES", len(data) + 10_000)
+    monkeypatch.setattr(budget, "_MOST_RATIO", 0)
     assert read_episode(packed).losses  # the file itself fits, its chunks do not
 
 

@@ -132,7 +132,7 @@ def test_an_error_of_the_recorder_ends_the_log_whole_and_is_named(tmp_path: Path
 def test_a_log_that_came_into_being_meanwhile_stays(tmp_path: Path):
     writer = EpisodeWriter(tmp_path / "a.mcap", INFO)
     (tmp_path / "a.mcap").write_bytes(b"mine")
-    with pytest.raises(LogError, match=r"the log is whole in a\.mcap\.active"):
+    with pytest.raises(LogError, match=r"are kept in a\.mcap\.active"):
         writer.close()
     assert (tmp_path / "a.mcap").read_bytes() == b"mine"
     assert not read_episode(tmp_path / "a.mcap.active").warnings
@@ -211,10 +211,10 @@ ELSEWHERE = "choose another place with -o"
 def test_what_cannot_be_written_is_named_as_it_was_given_with_a_remedy(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, why: str
 ):
-    def refuse(path: Path) -> None:
+    def refuse(path: Path, **_: bool) -> None:
         raise OSError(number, os.strerror(number), str(path))
 
-    monkeypatch.setattr("tunenet_logs.writer.WholeFile", refuse)
+    monkeypatch.setattr("tunenet_logs.output.log_place.ClaimedName", refuse)
     with pytest.raises(LogError) as caught:
         EpisodeWriter(tmp_path / "a.mcap", INFO)
     path = str(tmp_path / "a.mcap")
@@ -317,7 +317,7 @@ def test_killed_it_loses_the_last_moments_at_most(tmp_path: Path, count: int):
     assert any("end of the file is missing" in warning for warning in episode.warnings)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 @pytest.mark.parametrize("count", [0, 120, pytest.param(400, marks=pytest.mark.slow)])
 def test_stopped_by_a_signal_the_log_is_whole(tmp_path: Path, number: int, count: int):
     process, _ = recorder(tmp_path, count)

@@ -35,8 +35,10 @@ _MOST_NODES = 5000
 _SCHEMA_ENCODINGS = {"cdr": ("ros2msg", "ros2idl"), "ros1": ("ros1msg",)}
 """Definitions that are read, by the encoding of the messages."""
 
-_IDL_WEIGHT = 8
-"""How much longer a byte of IDL takes to read than one of another definition."""
+_IDL_WEIGHT, _PROTOBUF_WEIGHT = 8.0, 1 / 16
+"""How much longer a byte of IDL takes to read than one of another definition, and of protobuf."""
+
+_WEIGHTS = {"ros2idl": _IDL_WEIGHT, "protobuf": _PROTOBUF_WEIGHT}
 
 Steps = tuple[str | int, ...]
 """Where a part of a message is: names of fields, and numbers in lists from 0."""
@@ -60,8 +62,8 @@ class SchemaBudget:
         Raises:
             UnusableError: it is one too many.
         """
-        weight = _IDL_WEIGHT if channel.schema_encoding == "ros2idl" else 1
-        count = weight * len(channel.schema)
+        weight = _WEIGHTS.get(channel.schema_encoding, 1.0)
+        count = int(weight * len(channel.schema))
         if count > self.left_bytes:
             raise UnusableError("the log has more definitions than are read")
         self.left_bytes -= count

@@ -4,19 +4,14 @@ from __future__ import annotations
 
 import bz2
 from contextlib import suppress
-from dataclasses import dataclass
 
 import lz4.frame
 import zstandard
 
+from tunenet_logs.formats.budget import Budget
+
 MAX_PART_BYTES = 128 * 1024 * 1024
 """The most that one part of a log (a chunk, a message) may unpack to."""
-
-_FREE_BYTES = 1024 * 1024 * 1024
-"""What any file may unpack to in all, however small it is."""
-
-_MOST_RATIO = 256
-"""Bytes unpacked for each byte of the file, beyond `_FREE_BYTES`: more than messages pack by."""
 
 _PIECE_BYTES = 64 * 1024
 """Unpacked at a time of data that is cut, so that what precedes the damage is kept."""
@@ -26,37 +21,12 @@ ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 message of ROS begins like this otherwise: its encoding begins with a zero."""
 
 
-@dataclass
-class Budget:
-    """How much a whole file may unpack to: a log is not a bomb of many small parts either.
-
-    Attributes:
-        file_bytes: size of the file.
-        spent_bytes: what was unpacked of it so far, or refused.
-        is_spent: whether more was to be unpacked than may be.
-    """
-
-    file_bytes: int
-    spent_bytes: int = 0
-    is_spent: bool = False
-
-    def spend(self, count: int) -> None:
-        """Count `count` bytes that are to be unpacked.
-
-        Raises:
-            ValueError: with these the file unpacks to more than it may.
-        """
-        self.spent_bytes += count
-        self.is_spent = self.spent_bytes > _FREE_BYTES + _MOST_RATIO * self.file_bytes
-        if self.is_spent:
-            raise ValueError(f"the log unpacks to more than {_MOST_RATIO} times its size")
-
-
 def unpack_message(message: bytes | memoryview, budget: Budget) -> bytes | memoryview:
     """A message that begins with `ZSTD_MAGIC`, as it was published.
 
     Raises:
-        ValueError: it is damaged or too large, or the budget is spent.
+        ValueError: it is damaged or too large.
+        OverBudgetError: the log unpacks to more than it may.
     """
     try:
         stated = zstandard.get_frame_parameters(message).content_size

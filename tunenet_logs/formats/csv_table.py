@@ -274,7 +274,7 @@ def _named(group: Group, layout: TableLayout, rows: Sequence[Sequence[str]]) -> 
 def _is_heading(cells: Sequence[str], header: Sequence[str]) -> bool:
     """Whether a row between runs is the header again, or says which run follows."""
     stripped = [cell.strip() for cell in cells]
-    if stripped == [name.strip() for name in header]:
+    if len(cells) == len(header) and stripped == [name.strip() for name in header]:
         return True
     text = " ".join(filter(None, stripped))
     return bool(re.fullmatch(r"(?:run|trial|drop|take|episode)\W{0,3}\d{1,6}\W?", text, re.I))

@@ -14,6 +14,7 @@ from typing import Any
 
 from tunenet_logs.formats.base import Loss, described
 from tunenet_logs.formats.compression import MAX_PART_BYTES
+from tunenet_logs.regular_file import open_regular
 
 MAGIC = b"SQLite format 3\0"
 """How an SQLite file begins."""
@@ -116,7 +117,7 @@ def _size(path: Path) -> int:
 
 def _is_cut(path: Path, losses: list[Loss]) -> bool:
     """Whether pages that the file counts lie behind its end."""
-    with open(path, "rb") as file:
+    with open_regular(path) as file:
         head = file.read(_HEADER.size)
     if len(head) < _HEADER.size:
         return False

@@ -5,20 +5,17 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from array import array
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
 
 from mcap import records as mcap_records
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 
 from tunenet_logs.formats.base import (
-    DAMAGED,
     Loss,
     RawAttachment,
     RawChannel,
@@ -27,18 +24,29 @@ from tunenet_logs.formats.base import (
     Record,
     described,
 )
+from tunenet_logs.formats.budget import DAMAGE_RECORDS, Budget, OverBudgetError
 from tunenet_logs.formats.compression import (
     MAX_PART_BYTES,
     ZSTD_MAGIC,
-    Budget,
-    unpack,
     unpack_message,
     unpack_start,
 )
-from tunenet_logs.formats.mcap_search import CHUNK, FOOTER, HEAD, MAGIC, next_chunk, summary_records
-
-_DAMAGED = (*DAMAGED, McapError)
-"""What parsing raises on damaged bytes, the mcap library's own errors too."""
+from tunenet_logs.formats.mcap_parts import (
+    MCAP_DAMAGED,
+    KnownChannels,
+    part_stream,
+    unpacked_chunk,
+)
+from tunenet_logs.formats.mcap_search import (
+    CHUNK,
+    FOOTER,
+    HEAD,
+    MAGIC,
+    next_chunk,
+    zeros_end,
+    zeros_end_in,
+)
+from tunenet_logs.regular_file import open_regular
 
 _MESSAGE = struct.Struct("<HIQQ")
 """Of a message: channel, sequence number, receipt and acquisition [ns]."""
@@ -67,55 +75,21 @@ def read_mcap(
     budget: Budget | None = None,
 ) -> Iterator[Record]:
     """The records of an MCAP file; see `MessageFile`. Every CRC that it carries is checked."""
-    with open(path, "rb") as file:
+    with open_regular(path) as file:
         size = os.fstat(file.fileno()).st_size
         yield from _McapReading(file, size, losses, topics, budget or Budget(size)).records()
 
 
-class _Exact(BytesIO):
-    """Bytes that refuse to be read beyond their end; the library would take what there is."""
+class _Inside:
+    """What an unpacked chunk holds: channels that were not known, and the places of its messages.
 
-    def read(self, size: int | None = -1) -> bytes:
-        """Reads `size` bytes; raises ValueError if there are fewer."""
-        data = super().read(size)
-        if size is not None and len(data) < size:
-            raise ValueError(f"a part of it claims {size} bytes")
-        return data
-
-
-def channels_of_summary(file: BinaryIO, size: int) -> dict[int, RawChannel]:
-    """The channels as a whole summary at the end of the file repeats them, by number.
-
-    Empty where the summary is missing or damaged.
+    These are made one at a time: a chunk may hold millions.
     """
-    found: dict[int, RawChannel] = {}
-    schemas: dict[int, mcap_records.Schema] = {}
-    try:
-        for opcode, body in summary_records(file, size):
-            stream = ReadDataStream(_Exact(body))
-            if opcode == Opcode.SCHEMA:
-                schema = mcap_records.Schema.read(stream)
-                schemas[schema.id] = schema
-            elif opcode == Opcode.CHANNEL:
-                channel = mcap_records.Channel.read(stream)
-                found[channel.id] = _with_schema(channel, schemas)
-    except (*_DAMAGED, OSError):
-        return {}
-    return found
 
-
-def _with_schema(
-    channel: mcap_records.Channel, schemas: Mapping[int, mcap_records.Schema]
-) -> RawChannel:
-    schema = schemas.get(channel.schema_id)
-    return RawChannel(
-        topic=channel.topic,
-        type_name=schema.name if schema else "",
-        encoding=channel.message_encoding,
-        schema_encoding=schema.encoding if schema else "",
-        schema=schema.data if schema else b"",
-        metadata=channel.metadata,
-    )
+    def __init__(self, plain: memoryview) -> None:
+        self.plain = plain
+        self.channels: dict[int, RawChannel] = {}
+        self.begins, self.ends = array("I"), array("I")
 
 
 @dataclass(eq=False)
@@ -127,9 +101,8 @@ class _McapReading:
     losses: list[Loss]
     topics: Sequence[str] | None
     budget: Budget
-    schemas: dict[int, mcap_records.Schema] = field(default_factory=dict)
-    channels: dict[int, RawChannel] = field(default_factory=dict)
-    summary: dict[int, RawChannel] | None = None
+    channels: KnownChannels = field(init=False)
+    at: int = 0  # where the record begins that is read
     crc: int = 0
     messages: int = 0  # of all topics, as far as they were read
     unknown: int = 0  # of them, those whose channel nothing describes
@@ -139,27 +112,16 @@ class _McapReading:
     in_summary: bool = False
     ended: bool = False
 
+    def __post_init__(self) -> None:
+        self.channels = KnownChannels(self.file, self.size, self.budget)
+
     def records(self) -> Iterator[Record]:
-        at = len(self._read(len(MAGIC)))
-        while not self.ended:
-            head = self.file.read(HEAD.size)
-            if len(head) < HEAD.size:
-                self._lose(_NO_END, at)
-                break
-            opcode, length = HEAD.unpack(head)
-            behind = at + HEAD.size + length
-            if behind > self.size:
-                found = next_chunk(self.file, at + 1, self.size)
-                if found is None:
-                    yield from self._cut_record(opcode, at)
-                    break
-                what = f"a record claims {length} bytes; what follows was found again"
-                self._lose(what, at, found - at)
-                at = found
-                self.file.seek(at)
-                continue
-            yield from self._record(opcode, length, head, at)
-            at = behind
+        try:
+            yield from self._until_the_end()
+        except OverBudgetError as error:
+            rest = self.size - self.at
+            self._lose(f"reading stopped, as {error}; what follows was left out", self.at, rest)
+            return
         if self.ended and not self.is_protected:
             what = "the log carries no data checksum, so its integrity cannot be vouched for"
             self.losses.append(Loss(what, harmless=True))
@@ -169,19 +131,53 @@ class _McapReading:
             missing = self.stated - self.messages - self.unknown
             self._lose(f"{missing} of {self.stated} messages are missing")
 
+    def _until_the_end(self) -> Iterator[Record]:
+        """The records, one after the other.
+
+        Raises:
+            OverBudgetError: there are too many.
+        """
+        self.at = len(self._read(len(MAGIC)))
+        while not self.ended:
+            at = self.at
+            head = self.file.read(HEAD.size)
+            if len(head) < HEAD.size:
+                self._lose(_NO_END, at)
+                return
+            self.budget.spend_records()
+            opcode, length = HEAD.unpack(head)
+            behind = at + HEAD.size + length
+            if not opcode:
+                self.at, self.crc = zeros_end(self.file, at, self.crc)
+                self._lose("zeros, where a record should begin", at, self.at - at)
+            elif behind <= self.size:
+                yield from self._record(opcode, length, head, at)
+                self.at = behind
+            else:
+                found = next_chunk(self.file, at + 1, self.size)
+                if found is None:
+                    yield from self._cut_record(opcode, at)
+                    return
+                what = f"a record claims {length} bytes; what follows was found again"
+                self._lose(what, at, found - at)
+                self.at = found
+                self.file.seek(found)
+
     def _cut_record(self, opcode: int, at: int) -> Sequence[Record]:
         """What can be had of a record that the file ends in: the first messages of a chunk."""
         body = memoryview(self.file.read(min(self.size - at, MAX_PART_BYTES)))
         found: list[Record] = []
         if opcode == Opcode.CHUNK and any(body[-_ZEROS_BYTES:]):  # a file system may leave zeros
-            with suppress(*_DAMAGED):
+            with suppress(*MCAP_DAMAGED):
                 _, _, stated, _, length = CHUNK.unpack_from(body)
                 start = CHUNK.size + length
                 compression = bytes(body[CHUNK.size : start]).decode("ascii", "replace")
                 most = min(stated, MAX_PART_BYTES)
                 self.budget.spend(most)
-                plain = unpack_start(body[start + 8 :], compression, most)
-                self._walk(memoryview(plain), found)
+                inside = _Inside(memoryview(unpack_start(body[start + 8 :], compression, most)))
+                with suppress(*MCAP_DAMAGED):
+                    self._look_through(inside)
+                found = list(self._all_of(inside))
         saved = sum(isinstance(record, RawMessage) for record in found)
         what = f"{_NO_END}; its last record is cut"
         if saved:
@@ -189,7 +185,7 @@ class _McapReading:
         self.losses.append(Loss(what, at_byte=at, size=self.size - at, taints=bool(saved)))
         return found
 
-    def _record(self, opcode: int, length: int, head: bytes, at: int) -> Sequence[Record]:
+    def _record(self, opcode: int, length: int, head: bytes, at: int) -> Iterable[Record]:
         before = self.crc
         self.crc = zlib.crc32(head, before)
         used = _USED_IN_SUMMARY if self.in_summary else _USED
@@ -202,21 +198,15 @@ class _McapReading:
             return ()
         body = self._read(length)
         try:
-            if opcode == Opcode.CHUNK:
-                return self._chunk(memoryview(body))
             if opcode == Opcode.DATA_END:
-                (stated,) = struct.unpack_from("<I", body)
-                self.is_protected = stated != 0
-                if stated and stated != before:
-                    what = "the checksum of all data is wrong: something before its end was changed"
-                    self.losses.append(Loss(what, taints=self.unprotected))
-                self.crc = 0  # from here on, that of the summary
-                self.in_summary = True
+                self._check_data(body, before)
             elif opcode == Opcode.FOOTER:
                 self._check_end(body, zlib.crc32(body[:-4], zlib.crc32(head, before)))
+            elif opcode == Opcode.STATISTICS:
+                (self.stated,) = struct.unpack_from("<Q", body)
             else:
                 return self._parse(opcode, memoryview(body))
-        except _DAMAGED as error:
+        except MCAP_DAMAGED as error:
             part = "chunk" if opcode == Opcode.CHUNK else "record"
             self._lose(f"a damaged {part} was left out: {described(error)}", at, length + 9)
         return ()
@@ -226,101 +216,121 @@ class _McapReading:
         self.crc = zlib.crc32(data, self.crc)
         return data
 
-    def _chunk(self, body: memoryview) -> Sequence[Record]:
+    def _chunk(self, body: memoryview) -> Iterable[Record]:
         """All records of a chunk; none of one that is damaged.
 
         Raises:
             ValueError: it is damaged.
+            OverBudgetError: it is too much.
         """
-        _, _, stated, crc, length = CHUNK.unpack_from(body)
-        at = CHUNK.size + length
-        compression = bytes(body[CHUNK.size : at]).decode("ascii", "replace")
-        (packed,) = struct.unpack_from("<Q", body, at)
-        if packed > len(body) - at - 8:
-            raise ValueError(f"it claims {packed} bytes")
-        if stated <= MAX_PART_BYTES:
-            self.budget.spend(stated)
-        plain = memoryview(unpack(body[at + 8 : at + 8 + packed], compression, stated))
-        if crc and zlib.crc32(plain) != crc:
-            raise ValueError("its checksum is wrong")
-        self.unprotected |= not crc
-        known, read = dict(self.channels), self.messages
-        found: list[Record] = []
+        plain, is_checked = unpacked_chunk(body, self.budget)
+        self.unprotected |= not is_checked
+        inside = _Inside(plain)
         try:
-            self._walk(plain, found)
-        except _DAMAGED:  # as if it had not been
-            self.channels, self.messages = known, read
+            self._look_through(inside)
+        except MCAP_DAMAGED:  # as if it had not been
+            for number in inside.channels:
+                self.channels.forget(number)
             raise
-        return found
+        return self._all_of(inside)
 
-    def _walk(self, plain: memoryview, found: list[Record]) -> None:
-        """Put the records of an unpacked chunk into `found`.
+    def _all_of(self, inside: _Inside) -> Iterator[Record]:
+        yield from inside.channels.values()
+        yield from self._messages(inside.plain, inside.begins, inside.ends)
+
+    def _look_through(self, inside: _Inside) -> None:
+        """Find the channels of an unpacked chunk, and the places of its messages.
 
         Raises:
             ValueError, struct.error: what follows those is damaged.
+            OverBudgetError: there are too many.
         """
-        at = 0
+        plain, at, count = inside.plain, 0, 0
+        most = self.budget.left_records
         while at < len(plain):
             opcode, length = HEAD.unpack_from(plain, at)
+            count += 1
+            if count > most or not opcode:
+                self.budget.spend_records(count)
+                count, most = 0, self.budget.left_records
+            if not opcode:
+                end = zeros_end_in(plain, at)
+                self._lose(f"{end - at} bytes of a chunk are zeros", self.at)
+                at = end
+                continue
             at += HEAD.size
-            if length > len(plain) - at:
+            end = at + length
+            if end > len(plain):
                 raise ValueError(f"a record inside claims {length} bytes")
             if opcode == Opcode.MESSAGE:
-                self._message(plain[at : at + length], found)
+                if length < _MESSAGE.size:
+                    raise ValueError(f"a message of {length} bytes")
+                inside.begins.append(at)
+                inside.ends.append(end)
             elif opcode in _USED_IN_CHUNK:
-                found += self._parse(opcode, plain[at : at + length])
+                if found := self.channels.told(opcode, plain[at:end]):
+                    inside.channels[found[0]] = found[1]
             elif opcode in _USED:
                 raise ValueError(f"it holds a record of kind {opcode}, which belongs outside")
-            at += length
+            at = end
+        self.budget.spend_records(count)
 
-    def _parse(self, opcode: int, body: memoryview) -> Sequence[Record]:
-        if opcode == Opcode.MESSAGE:  # outside a chunk
-            found: list[Record] = []
-            self._message(body, found)
+    def _parse(self, opcode: int, body: memoryview) -> Iterable[Record]:
+        """What a record outside of chunks says.
+
+        Raises:
+            MCAP_DAMAGED: it makes no sense.
+            OverBudgetError: it is too much.
+        """
+        if opcode == Opcode.CHUNK:
+            return self._chunk(body)
+        if opcode == Opcode.MESSAGE:
+            if len(body) < _MESSAGE.size:
+                raise ValueError(f"a message of {len(body)} bytes")
             self.unprotected = True
-            return found
-        stream = ReadDataStream(_Exact(body))
-        if opcode == Opcode.SCHEMA:
-            schema = mcap_records.Schema.read(stream)
-            self.schemas.setdefault(schema.id, schema)
-        elif opcode == Opcode.CHANNEL:
-            channel = mcap_records.Channel.read(stream)
-            if channel.id not in self.channels:
-                self.channels[channel.id] = _with_schema(channel, self.schemas)
-                return (self.channels[channel.id],)
-        elif opcode == Opcode.METADATA:
+            return self._messages(body, (0,), (len(body),))
+        if opcode in _USED_IN_CHUNK:
+            found = self.channels.told(opcode, body)
+            return found[1:] if found else ()
+        stream = part_stream(body, self.budget)
+        if opcode == Opcode.METADATA:
             metadata = mcap_records.Metadata.read(stream)
             return (RawMetadata(metadata.name, metadata.metadata),)
-        elif opcode == Opcode.STATISTICS:
-            self.stated = mcap_records.Statistics.read(stream).message_count
-        elif opcode == Opcode.ATTACHMENT:
-            file = mcap_records.Attachment.read(stream)
-            log_ns, create_ns = file.log_time, file.create_time
-            return (RawAttachment(file.name, file.media_type, file.data, log_ns, create_ns),)
-        return ()
+        file = mcap_records.Attachment.read(stream)
+        log_ns, create_ns = file.log_time, file.create_time
+        return (RawAttachment(file.name, file.media_type, file.data, log_ns, create_ns),)
 
-    def _message(self, body: memoryview, found: list[Record]) -> None:
-        number, sequence, log_ns, publish_ns = _MESSAGE.unpack_from(body)
-        channel = self.channels.get(number)
-        if channel is None:  # its description was in a damaged chunk perhaps
-            if self.summary is None:
-                here = self.file.tell()
-                self.summary = channels_of_summary(self.file, self.size)
-                self.file.seek(here)
-            channel = self.summary.get(number)
-            if channel is None:
-                self.unknown += 1
-                return
-            self.channels[number] = channel
-            found.append(channel)
-        self.messages += 1
-        if self.topics is not None and channel.topic not in self.topics:
-            return
-        data: bytes | memoryview = body[_MESSAGE.size :]
-        if channel.encoding == "cdr" and data[:4] == ZSTD_MAGIC:
-            with suppress(ValueError):  # a damaged one is that message's matter, not the chunk's
-                data = unpack_message(data, self.budget)
-        found.append(RawMessage(channel, log_ns, data, publish_ns, sequence))
+    def _messages(
+        self, plain: memoryview, begins: Iterable[int], ends: Iterable[int]
+    ) -> Iterator[Record]:
+        """The messages between places; a channel comes before them if nothing described it yet."""
+        topics = self.topics
+        for begin, end in zip(begins, ends, strict=True):
+            number, sequence, log_ns, publish_ns = _MESSAGE.unpack_from(plain, begin)
+            channel = self.channels.get(number)
+            if channel is None:  # its description was in a damaged chunk perhaps
+                channel = self.channels.of_summary(number)
+                if channel is None:
+                    self.unknown += 1
+                    continue
+                yield channel
+            self.messages += 1
+            if topics is not None and channel.topic not in topics:
+                continue
+            data: bytes | memoryview = plain[begin + _MESSAGE.size : end]
+            if channel.encoding == "cdr" and data[:4] == ZSTD_MAGIC:
+                with suppress(ValueError):  # a damaged one is that message's matter
+                    data = unpack_message(data, self.budget)
+            yield RawMessage(channel, log_ns, data, publish_ns, sequence)
+
+    def _check_data(self, body: bytes, crc: int) -> None:
+        (stated,) = struct.unpack_from("<I", body)
+        self.is_protected = stated != 0
+        if stated and stated != crc:
+            what = "the checksum of all data is wrong: something before its end was changed"
+            self.losses.append(Loss(what, taints=self.unprotected))
+        self.crc = 0  # from here on, that of the summary
+        self.in_summary = True
 
     def _check_end(self, body: bytes, crc: int) -> None:
         self.ended = True
@@ -335,4 +345,6 @@ class _McapReading:
             self._lose(f"{what} behind the end, which are not read", end, self.size - end)
 
     def _lose(self, what: str, at: int | None = None, size: int = 0) -> None:
+        with suppress(OverBudgetError):  # what is lost is said in any case
+            self.budget.spend_records(DAMAGE_RECORDS)
         self.losses.append(Loss(what, at_byte=at, size=size))

@@ -7,6 +7,7 @@ import zlib
 from collections.abc import Iterator
 from typing import BinaryIO
 
+import numpy as np
 from mcap.opcode import Opcode
 
 from tunenet_logs.formats.compression import MAX_PART_BYTES
@@ -25,8 +26,11 @@ compression's name."""
 FOOTER = struct.Struct("<QQI")
 """Of the footer: where summary and its offsets begin [bytes], checksum."""
 
+_FIRST_BLOCK_BYTES = 4 * 1024
+"""Looked through at first; what is looked for is near, mostly."""
+
 _BLOCK_BYTES = 1024 * 1024
-"""Read at a time: few calls, and little memory beside a chunk's."""
+"""Looked through at a time later, after blocks that double."""
 
 _MARKS = (b"\x04\x00\x00\x00zstd", b"\x03\x00\x00\x00lz4")
 """A chunk's compression as it is stored: what to look for behind a damaged place."""
@@ -67,19 +71,56 @@ def next_chunk(file: BinaryIO, start: int, size: int) -> int | None:
 
     Leaves the file's position as it was.
     """
-    here = file.tell()
+    here, length = file.tell(), _FIRST_BLOCK_BYTES
     try:
         while start < size:
             file.seek(start)
-            block = file.read(_BLOCK_BYTES + _LEAD_BYTES + 16)
+            block = file.read(length + _LEAD_BYTES + 16)
             for begin in sorted(_begins(block)):
-                opcode, length = HEAD.unpack_from(block, begin)
-                if opcode == Opcode.CHUNK and start + begin + HEAD.size + length <= size:
+                opcode, claimed = HEAD.unpack_from(block, begin)
+                if opcode == Opcode.CHUNK and start + begin + HEAD.size + claimed <= size:
                     return start + begin
-            start += _BLOCK_BYTES
+            start += length
+            length = min(2 * length, _BLOCK_BYTES)
         return None
     finally:
         file.seek(here)
+
+
+def zeros_end(file: BinaryIO, at: int, crc: int) -> tuple[int, int]:
+    """Where zeros end that begin at a place, and the checksum of all data up to there.
+
+    Leaves the file there.
+
+    Args:
+        file: open for reading.
+        at: a place in it.
+        crc: the checksum of all data before that.
+    """
+    file.seek(at)
+    length = _FIRST_BLOCK_BYTES
+    while block := file.read(length):
+        zeros = zeros_end_in(block, 0)
+        crc = zlib.crc32(block[:zeros], crc)
+        at += zeros
+        if zeros < len(block):
+            break
+        length = min(2 * length, _BLOCK_BYTES)
+    file.seek(at)
+    return at, crc
+
+
+def zeros_end_in(data: bytes | memoryview, at: int) -> int:
+    """The same in memory."""
+    length = _FIRST_BLOCK_BYTES
+    while at < len(data):
+        used = np.frombuffer(data[at : at + length], np.uint8) != 0
+        first = int(used.argmax())
+        if used[first]:
+            return at + first
+        at += length
+        length = min(2 * length, _BLOCK_BYTES)
+    return len(data)
 
 
 def _begins(block: bytes) -> Iterator[int]:

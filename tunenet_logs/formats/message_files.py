@@ -8,7 +8,7 @@ from typing import Protocol
 
 from tunenet_logs.errors import LogError
 from tunenet_logs.formats.base import Loss, Record
-from tunenet_logs.formats.compression import Budget
+from tunenet_logs.formats.budget import Budget
 from tunenet_logs.formats.database import MAGIC as DB3_MAGIC
 from tunenet_logs.formats.mcap_container import MAGIC as MCAP_MAGIC
 from tunenet_logs.formats.mcap_container import read_mcap
@@ -16,6 +16,7 @@ from tunenet_logs.formats.packed_file import compression_of, unpacked
 from tunenet_logs.formats.ros1_bag import MAGIC as BAG_MAGIC
 from tunenet_logs.formats.ros1_bag import read_bag
 from tunenet_logs.formats.ros2_db3 import read_db3
+from tunenet_logs.regular_file import open_regular
 
 _START_BYTES = 16
 """Of a file, by which it is known."""
@@ -37,7 +38,8 @@ class MessageFile(Protocol):
             path: the file.
             losses: filled on the way.
             topics: give only messages of these; None for all.
-            budget: what may be unpacked of it yet, where it was itself unpacked from a file.
+            budget: what reading it may cost yet, where it was itself unpacked from a file, or is
+                one of several.
         """
         ...
 
@@ -56,15 +58,19 @@ def message_file(start: bytes) -> MessageFile | None:
 
 
 def read_packed(
-    path: Path, losses: list[Loss], topics: Sequence[str] | None = None
+    path: Path,
+    losses: list[Loss],
+    topics: Sequence[str] | None = None,
+    budget: Budget | None = None,
 ) -> Iterator[Record]:
-    """The records of a file of messages that was compressed as a whole; see `Container`."""
-    with open(path, "rb") as file:
+    """The records of a file of messages that was compressed as a whole; see `MessageFile`."""
+    with open_regular(path) as file:
         compression = compression_of(file.read(_START_BYTES))
     if not compression:
         raise LogError(f"{path}: is not compressed in a way that is read")
-    with unpacked(path, compression, losses) as (inside, budget):
-        with open(inside, "rb") as file:
+    budget = budget or Budget(path.stat().st_size)
+    with unpacked(path, compression, losses, budget) as inside:
+        with open_regular(inside) as file:
             read = message_file(file.read(_START_BYTES))
         if read is None:
             raise LogError(f"{path}: holds no MCAP log and no bag")

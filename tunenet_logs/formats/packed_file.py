@@ -16,7 +16,9 @@ import zstandard
 
 from tunenet_logs.errors import LogError
 from tunenet_logs.formats.base import Loss, described
-from tunenet_logs.formats.compression import ZSTD_MAGIC, Budget
+from tunenet_logs.formats.budget import Budget, OverBudgetError
+from tunenet_logs.formats.compression import ZSTD_MAGIC
+from tunenet_logs.regular_file import open_regular
 
 _READ_BYTES = 2048
 """Fed at a time: of zstd without a bound on what comes of it, which is 64 MiB at most then."""
@@ -89,21 +91,25 @@ def unpacked_start(path: Path, compression: str, most: int) -> bytes:
 
 @contextmanager
 def unpacked(
-    path: Path, compression: str, losses: list[Loss], most_bytes: int | None = None
-) -> Iterator[tuple[Path, Budget]]:
-    """The file inside, as far as it can be unpacked, and how much more may be unpacked of it.
+    path: Path,
+    compression: str,
+    losses: list[Loss],
+    budget: Budget,
+    most_bytes: int | None = None,
+) -> Iterator[Path]:
+    """The file inside, as far as it can be unpacked.
 
     Args:
         path: the packed file; neither it nor its folder is changed.
         compression: as `compression_of` says.
         losses: what is noted of damage.
+        budget: what may be unpacked of it yet.
         most_bytes: unpacked, whatever the size of the packed file.
 
     Raises:
         LogError: nothing can be unpacked, it is more than a log may hold, or there is no room.
         OSError: the disk fails.
     """
-    budget = Budget(path.stat().st_size)
     with tempfile.TemporaryDirectory(prefix="tunenet-logs-") as folder:
         plain = Path(folder) / unpacked_name(path)
         written = _unpack(path, compression, plain, budget, losses, most_bytes)
@@ -111,7 +117,7 @@ def unpacked(
             raise LogError(
                 f"{path}: nothing of its {compression} data can be unpacked; copy it again"
             )
-        yield plain, budget
+        yield plain
 
 
 def _unpack(
@@ -144,7 +150,7 @@ def _unpack(
                         "make room, or set TMPDIR to a folder that has it"
                     )
                 file.write(piece)
-    except ValueError as error:
+    except OverBudgetError as error:
         raise LogError(
             f"{path}: {error}, which no recording does; if you trust it, unpack it first"
         ) from error
@@ -163,7 +169,7 @@ def _pieces(path: Path, compression: str) -> Iterator[bytes]:
     """
     begin, feed = _KINDS[compression]
     stream, waiting = begin(), b""
-    with open(path, "rb") as file:
+    with open_regular(path) as file:
         while data := waiting or file.read(_READ_BYTES):
             if stream.eof:  # several may lie one behind the other
                 if not any(data):

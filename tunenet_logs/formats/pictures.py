@@ -11,6 +11,7 @@ import numpy as np
 
 from tunenet_logs.episode import Frame
 from tunenet_logs.errors import LogError
+from tunenet_logs.formats.any_messages import SchemaBudget
 from tunenet_logs.formats.base import (
     DAMAGED,
     Decode,
@@ -20,8 +21,8 @@ from tunenet_logs.formats.base import (
     Record,
     UnusableError,
 )
+from tunenet_logs.formats.decoders import Decoders
 from tunenet_logs.formats.message_types import PictureSample, PictureType, message_type_of
-from tunenet_logs.formats.registry import decoder_for
 from tunenet_logs.formats.video_messages import CODECS, Packet, decoded
 from tunenet_logs.images import MAX_PIXELS, image_format
 from tunenet_logs.pixels import PixelFormat, pixel_format_of
@@ -77,13 +78,14 @@ def _found_in(
 ) -> Iterator[tuple[bool, int, PictureSample]]:
     """Whether it is a video's, its stamp [ns], and the picture."""
     readers: dict[RawChannel, tuple[Decode, Callable[[Any], PictureSample], bool]] = {}
+    decoders = Decoders(SchemaBudget())
     for record in records:
         if isinstance(record, RawChannel) and record.topic == topic:
             pictures = message_type_of(record)
             if isinstance(pictures, PictureType):
                 with suppress(UnusableError):
                     read = checked_pictures(pictures)
-                    readers[record] = (decoder_for(record), read, pictures.is_video)
+                    readers[record] = (decoders.of(record), read, pictures.is_video)
         elif isinstance(record, RawMessage) and record.channel in readers:
             decode, read, is_video = readers[record.channel]
             try:

@@ -12,6 +12,7 @@ from pathlib import Path
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import LogError
 from tunenet_logs.formats.base import Container, Decode, Loss, RawChannel, UnusableError
+from tunenet_logs.formats.budget import Budget
 from tunenet_logs.formats.csv_table import read_csv
 from tunenet_logs.formats.exports.arrays.json_lines import is_json_lines, read_json_lines
 from tunenet_logs.formats.exports.arrays.matlab_file import is_matlab_file, read_matlab_file
@@ -51,6 +52,7 @@ from tunenet_logs.formats.ros import ros_decoder
 from tunenet_logs.formats.ros2_folder import read_folder
 from tunenet_logs.formats.tables.lines import SUFFIXES, is_table
 from tunenet_logs.formats.video import read_video
+from tunenet_logs.regular_file import open_regular
 
 _EXPORTS: tuple[tuple[Callable[[Start], bool], Callable[[Path, ReadOptions], Episode]], ...] = (
     (is_motive, read_motive),
@@ -105,7 +107,7 @@ def open_log(path: Path, options: ReadOptions = AS_IT_SAYS) -> Container | Episo
             raise LogError(f"{path}: no such file")
         if not path.is_file():
             raise LogError(f"{path}: is no regular file; record it to one first")
-        with open(path, "rb") as file:
+        with open_regular(path) as file:
             start = file.read(_START_BYTES)
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror})") from error
@@ -179,7 +181,8 @@ def _open_packed(path: Path, compression: str, options: ReadOptions) -> Containe
     try:
         if message_file(unpacked_start(path, compression, _START_BYTES)):
             return read_packed
-        with unpacked(path, compression, losses, MOST_FOREIGN_BYTES) as (inside, _):
+        budget = Budget(path.stat().st_size)
+        with unpacked(path, compression, losses, budget, MOST_FOREIGN_BYTES) as inside:
             episode = _read_inside(inside, path, options)
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror})") from error

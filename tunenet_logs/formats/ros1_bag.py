@@ -6,6 +6,7 @@ By the stream and not by the index at the end: a killed `rosbag record` leaves n
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -18,7 +19,14 @@ from tunenet_logs.formats.base import (
     Record,
     described,
 )
-from tunenet_logs.formats.compression import MAX_PART_BYTES, Budget, unpack, unpack_start
+from tunenet_logs.formats.budget import (
+    CHUNK_RECORDS,
+    DAMAGE_RECORDS,
+    PART_RECORDS,
+    Budget,
+    OverBudgetError,
+)
+from tunenet_logs.formats.compression import MAX_PART_BYTES, unpack, unpack_start
 from tunenet_logs.formats.ros1_records import (
     BAG,
     CHUNK,
@@ -31,12 +39,16 @@ from tunenet_logs.formats.ros1_records import (
     fields_of,
     head_at,
 )
+from tunenet_logs.regular_file import open_regular
 
 MAGIC = b"#ROSBAG V"
 """How a ROS bag begins, before its version."""
 
 _VERSION = b"2.0\n"
 """The only version that is read; `rosbag filter` rewrites older ones."""
+
+_RECORD = 2
+"""What a record inside a chunk counts as: its head is a list of names, and each has 46 bytes."""
 
 _COUNTED = {INDEX: 12, CHUNK_INFO: 8}
 """Bytes of each entry that such a record counts."""
@@ -49,7 +61,7 @@ def read_bag(
     budget: Budget | None = None,
 ) -> Iterator[Record]:
     """The records of a ROS 1 bag, closed or not; see `MessageFile`."""
-    with open(path, "rb") as file:
+    with open_regular(path) as file:
         version = file.read(len(MAGIC) + len(_VERSION))[len(MAGIC) :]
         if version != _VERSION:
             shown = version.split(b"\n")[0].decode("ascii", "replace")
@@ -79,6 +91,7 @@ class _BagReading:
         self.channels: dict[int, RawChannel] = {}
         self.index: dict[int, RawChannel] | None = None
         self.index_at = 0
+        self.at = 0  # where the record begins that is read
         self.has_index = False
         self.chunks_stated = 0
         self.infos = 0
@@ -87,9 +100,35 @@ class _BagReading:
         self.unknown = 0  # of them, those whose connection nothing describes
 
     def records(self) -> Iterator[Record]:
+        try:
+            at = yield from self._until_the_end()
+        except OverBudgetError as error:
+            what = f"reading stopped, as {error}; what follows was left out"
+            self._lose(what, self.at, self.file.size - self.at)
+            return
+        self.has_index |= at == self.index_at
+        if not self.has_index or self.infos < self.chunks_stated:
+            self._lose("the index at the end is missing (a recording that did not end?)")
+        what = "a ROS 1 bag carries no checksum, so its integrity cannot be vouched for"
+        self.losses.append(Loss(what, harmless=True))
+        if self.unknown:
+            self._lose(f"{self.unknown} messages belong to connections that nothing describes")
+        stated = self.stated[CHUNK_INFO] or self.stated[INDEX]
+        missing = stated - self.messages - self.unknown
+        if missing > 0:
+            self._lose(f"{missing} of {stated} messages are missing")
+
+    def _until_the_end(self) -> Generator[Record, None, int]:
+        """The records, one after the other; returns where they end.
+
+        Raises:
+            OverBudgetError: there are too many.
+        """
         at = len(MAGIC) + len(_VERSION)
         while at < self.file.size:
+            self.at = at
             self.has_index |= at == self.index_at
+            self.budget.spend_records()
             try:
                 head = self.file.head(at)
                 if head.op == CHUNK:
@@ -102,17 +141,7 @@ class _BagReading:
                 continue
             yield from self._record(head, at)
             at = head.end
-        self.has_index |= at == self.index_at
-        if not self.has_index or self.infos < self.chunks_stated:
-            self._lose("the index at the end is missing (a recording that did not end?)")
-        what = "a ROS 1 bag carries no checksum, so its integrity cannot be vouched for"
-        self.losses.append(Loss(what, harmless=True))
-        if self.unknown:
-            self._lose(f"{self.unknown} messages belong to connections that nothing describes")
-        stated = self.stated[CHUNK_INFO] or self.stated[INDEX]
-        missing = stated - self.messages - self.unknown
-        if missing > 0:
-            self._lose(f"{missing} of {stated} messages are missing")
+        return at
 
     def _record(self, head: Head, at: int) -> Sequence[Record]:
         try:
@@ -130,12 +159,14 @@ class _BagReading:
         Raises:
             DAMAGED: its head makes no sense, or it was one chunk too many.
         """
+        self.budget.spend_records(CHUNK_RECORDS)
         stated = head.number(b"size")
         compression = head.fields[b"compression"].decode("ascii", "replace")
         if compression in ("", "none"):
             # Its records follow as any others do, so that a wrong size of it loses none of them.
             if stated != head.data_bytes:
                 what = f"a chunk claims {stated} bytes and {head.data_bytes}"
+                self.budget.spend_records(DAMAGE_RECORDS)
                 self.losses.append(Loss(what, at_byte=at, harmless=True))
             return head.data_at
         if head.end > self.file.size or not head.data_bytes:  # cut, or never closed
@@ -163,6 +194,7 @@ class _BagReading:
         """The records of an unpacked chunk; returns how many bytes of it belong to none."""
         at = lost = 0
         while at < len(plain):
+            self.budget.spend_records(_RECORD)
             try:
                 head = head_at(plain, at)
                 if head.end > len(plain) or head.op not in IN_CHUNKS:
@@ -199,7 +231,10 @@ class _BagReading:
     def _connection(self, number: int, channel: RawChannel) -> Sequence[Record]:
         known = self.channels.setdefault(number, channel)
         if known is channel:
+            self.budget.spend_channel()
+            self.budget.spend_definition(len(channel.schema))
             return (channel,)
+        self.budget.spend_records(PART_RECORDS)
         if (known.topic, known.type_name, known.schema) != (
             channel.topic,
             channel.type_name,
@@ -215,6 +250,7 @@ class _BagReading:
             at = self.index_at
             try:
                 while 0 < at < self.file.size and (head := self.file.head(at)).op == CONNECTION:
+                    self.budget.spend_records(PART_RECORDS)
                     channel = _described(head, self.file.data(head))
                     self.index.setdefault(head.number(b"conn"), channel)
                     at = head.end
@@ -257,6 +293,8 @@ class _BagReading:
         return behind
 
     def _lose(self, what: str, at: int | None = None, size: int = 0) -> None:
+        with suppress(OverBudgetError):  # what is lost is said in any case
+            self.budget.spend_records(DAMAGE_RECORDS)
         self.losses.append(Loss(what, at_byte=at, size=size))
 
 

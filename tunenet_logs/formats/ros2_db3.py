@@ -17,7 +17,8 @@ from tunenet_logs.formats.base import (
     Record,
     described,
 )
-from tunenet_logs.formats.compression import ZSTD_MAGIC, Budget, unpack_message
+from tunenet_logs.formats.budget import PART_RECORDS, Budget, OverBudgetError
+from tunenet_logs.formats.compression import ZSTD_MAGIC, unpack_message
 from tunenet_logs.formats.database import (
     DATABASE_ERRORS,
     DatabaseTable,
@@ -49,12 +50,15 @@ def read_db3(
     """The records of a ROS 2 sqlite3 bag; see `MessageFile`. It and its folder stay unchanged."""
     try:
         with opened(path, losses) as database:
-            channels = _channels(database, losses)
+            budget = budget or Budget(path.stat().st_size)
+            channels = _channels(database, losses, budget)
             table = table_of(database, "messages", _MESSAGES)
             yield from channels.values()
-            budget = budget or Budget(path.stat().st_size)
             reading = _Db3Reading(channels, losses, budget)
             yield from reading.messages(database, table, topics)
+    except OverBudgetError as error:
+        losses.append(Loss(f"reading stopped, as {error}; what follows was left out"))
+        return
     except (*DATABASE_ERRORS, NoTableError) as error:
         raise LogError(f"{path}: is no ROS 2 bag that can be read: {described(error)}") from error
     what = "a .db3 bag carries no checksum, so its integrity cannot be vouched for"
@@ -77,20 +81,21 @@ class _Db3Reading:
         damaged = unknown = seen = last = 0
         first = ""
         before = len(self._losses)
-        for last, values in self._only(table, topics).rows(database, self._losses):
-            seen += 1
-            channel = self._channels.get(values[0]) if type(values[0]) is int else None
-            if channel is None:
-                unknown += 1
-            elif topics is None or channel.topic in topics:
-                try:
-                    yield self._message(channel, *values[1:])
-                except DAMAGED as error:
-                    first = first or f"message {last}, {described(error)}"
-                    damaged += 1
-            if self._budget.is_spent:
-                self._lose(f"reading stopped at message {last}: the log unpacks to too much")
-                break
+        try:
+            for last, values in self._only(table, topics).rows(database, self._losses):
+                seen += 1
+                self._budget.spend_records()
+                channel = self._channels.get(values[0]) if type(values[0]) is int else None
+                if channel is None:
+                    unknown += 1
+                elif topics is None or channel.topic in topics:
+                    try:
+                        yield self._message(channel, *values[1:])
+                    except DAMAGED as error:
+                        first = first or f"message {last}, {described(error)}"
+                        damaged += 1
+        except OverBudgetError as error:
+            self._lose(f"reading stopped at message {last}, as {error}; the rest was left out")
         if last > seen and len(self._losses) == before:
             self._lose(f"{last - seen} of its messages are missing among those numbered to {last}")
         if damaged:
@@ -117,16 +122,20 @@ class _Db3Reading:
         self._losses.append(Loss(what))
 
 
-def _channels(database: sqlite3.Connection, losses: list[Loss]) -> dict[int, RawChannel]:
+def _channels(
+    database: sqlite3.Connection, losses: list[Loss], budget: Budget
+) -> dict[int, RawChannel]:
     """The topics, by their numbers.
 
     Raises:
         NoTableError, DATABASE_ERRORS: there are none.
+        OverBudgetError: there are too many.
     """
-    definitions = _definitions(database, losses)
+    definitions = _definitions(database, losses, budget)
     table = table_of(database, "topics", _TOPICS, tuple(_MORE))
     channels: dict[int, RawChannel] = {}
     for row, (number, *texts) in table.rows(database, losses):
+        budget.spend_channel()
         if type(number) is not int or any(type(text) is not str for text in texts[:3]):
             losses.append(Loss(f"topic {row} is damaged"))
             continue
@@ -138,7 +147,9 @@ def _channels(database: sqlite3.Connection, losses: list[Loss]) -> dict[int, Raw
     return channels
 
 
-def _definitions(database: sqlite3.Connection, losses: list[Loss]) -> dict[str, tuple[str, bytes]]:
+def _definitions(
+    database: sqlite3.Connection, losses: list[Loss], budget: Budget
+) -> dict[str, tuple[str, bytes]]:
     """Encoding and text of each type's schema, by its name; none in bags of older ROS 2."""
     try:
         table = table_of(database, "message_definitions", _DEFINITIONS)
@@ -146,6 +157,8 @@ def _definitions(database: sqlite3.Connection, losses: list[Loss]) -> dict[str, 
         return {}
     found: dict[str, tuple[str, bytes]] = {}
     for _, (kind, encoding, text) in table.rows(database, losses):
+        budget.spend_records(PART_RECORDS)
+        budget.spend_definition(len(text) if type(text) is str else 0)
         if encoding in _SCHEMAS and type(kind) is str and type(text) is str and text:
             found.setdefault(kind, (encoding, text.encode("utf-8", "replace")))
     return found

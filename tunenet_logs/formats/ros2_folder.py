@@ -8,17 +8,19 @@ from dataclasses import replace
 from pathlib import Path
 
 from tunenet_logs.errors import LogError
-from tunenet_logs.formats.base import Container, Loss, RawMetadata, Record
+from tunenet_logs.formats.base import Loss, RawMetadata, Record
+from tunenet_logs.formats.budget import Budget
 from tunenet_logs.formats.compression import ZSTD_MAGIC
 from tunenet_logs.formats.database import MAGIC as DB3_MAGIC
 from tunenet_logs.formats.exports.arrays.lerobot import a_file_of, is_data_set
 from tunenet_logs.formats.mcap_container import MAGIC as MCAP_MAGIC
 from tunenet_logs.formats.mcap_container import read_mcap
-from tunenet_logs.formats.message_files import read_packed
+from tunenet_logs.formats.message_files import MessageFile, read_packed
 from tunenet_logs.formats.ros2_db3 import read_db3
 from tunenet_logs.messages import INFO_RECORD
+from tunenet_logs.regular_file import open_regular
 
-_READERS: dict[str, tuple[bytes, Container]] = {
+_READERS: dict[str, tuple[bytes, MessageFile]] = {
     ".db3": (DB3_MAGIC, read_db3),
     ".mcap": (MCAP_MAGIC, read_mcap),
     ".db3.zstd": (ZSTD_MAGIC, read_packed),
@@ -33,7 +35,8 @@ _INDEX = "metadata.yaml"
 """What rosbag2 writes beside the files when a recording ends."""
 
 _MOST_PARTS = 10_000
-"""Numbers farther apart are no parts of one recording: none is looked for between them."""
+"""Numbers farther apart are no parts of one recording: none is looked for between them. Nor are
+more files."""
 
 _NUMBERED = re.compile(r"(.+)_([0-9]{1,18})", re.DOTALL)
 """NAME_NUMBER, without the suffix; as many digits as fit 64 bits."""
@@ -54,10 +57,11 @@ def read_folder(
     troubles: list[str] = []
     described: set[Path] = set()
     begin = len(losses)
+    budget = Budget(sum(file.stat().st_size for file in files))
     for file in files:
         lost: list[Loss] = []
         try:
-            for record in _records(file, lost, topics):
+            for record in _records(file, lost, topics, budget):
                 if isinstance(record, RawMetadata) and record.name == INFO_RECORD:
                     described.add(file)
                 yield record
@@ -73,7 +77,9 @@ def read_folder(
     losses[begin:] = _without_repeats(losses[begin:])
 
 
-def _records(file: Path, losses: list[Loss], topics: Sequence[str] | None) -> Iterator[Record]:
+def _records(
+    file: Path, losses: list[Loss], topics: Sequence[str] | None, budget: Budget
+) -> Iterator[Record]:
     """Those of one file.
 
     Raises:
@@ -81,13 +87,13 @@ def _records(file: Path, losses: list[Loss], topics: Sequence[str] | None) -> It
     """
     ending = _ending(file)
     magic, read = _READERS[ending]
-    with open(file, "rb") as stream:
+    with open_regular(file) as stream:
         start = stream.read(len(magic))
     if not start:
         raise LogError(f"{file}: is empty")
     if start != magic:
         raise LogError(f"{file}: is no {ending} file")
-    yield from read(file, losses, topics)
+    yield from read(file, losses, topics, budget)
 
 
 def _without_repeats(losses: Sequence[Loss]) -> list[Loss]:
@@ -126,6 +132,8 @@ def _files(folder: Path) -> list[Path]:
         )
     if len(files) == 1:
         return files
+    if len(files) > _MOST_PARTS:
+        raise LogError(f"{folder}: is a directory with over {_MOST_PARTS} files of messages")
     numbered = {file: match for file in files if (match := _numbered(file))}
     names = {(_ending(file), match[1]) for file, match in numbered.items()}
     if len(numbered) < len(files) or len(names) > 1:

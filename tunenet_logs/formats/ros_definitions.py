@@ -30,8 +30,8 @@ _FIELD = re.compile(
 _PART = re.compile(r"^={10,}\r?\n(?:MSG|IDL): +(\S+)[ \t]*\r?$", re.MULTILINE)
 """What stands between the definition of a type and those that it is made of."""
 
-_IDL_WORDS = re.compile(r'"(?:[^"\\\n]|\\.)*"|//[^\n]*|^[ \t]*#[^\n]*', re.MULTILINE)
-"""In IDL, texts and comments, which may hold anything."""
+_IDL_WORDS = re.compile(r'"(?:[^"\\\n]|\\.)*+"?|//[^\n]*|^[ \t]*#[^\n]*', re.MULTILINE)
+"""In IDL, texts and comments, which may hold anything; a text that is not closed ends its line."""
 
 _IDL_ASIDE = re.compile(r"@\w+[ \t]*(?:\([^()]*\))?|\bconst\b[^;{}]{0,500};")
 """In IDL without these, what says nothing of fields: annotations, constants."""

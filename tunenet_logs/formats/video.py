@@ -16,7 +16,8 @@ from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame
 from tunenet_logs.errors import LogError
 from tunenet_logs.formats.read_options import AS_IT_SAYS, ReadOptions
 from tunenet_logs.formats.video_clock import StoredTimes, VideoClock, clock_of
-from tunenet_logs.images import MAX_PIXELS
+from tunenet_logs.images import FREE_VIDEO_PIXELS, MAX_PIXELS, VIDEO_PIXELS_A_BYTE
+from tunenet_logs.regular_file import open_regular
 
 if TYPE_CHECKING:
     from av import VideoFrame
@@ -37,6 +38,9 @@ _JPEG_START = b"\xff\xd8\xff"
 
 _MOST_PICTURES = 250_000
 """Of a file: two hours at 30 a second, ten minutes at 400."""
+
+_TOO_LARGE = "claims far more pixels than a film of its size has; cut the drop out of it"
+"""Of a film whose pictures are many and large, and hardly a byte each."""
 
 _MOSTLY = 0.9
 """Of the pictures: where fewer have a time, they are counted at the rate that the file states."""
@@ -77,10 +81,13 @@ class Video:
             return
         with _opened(self.path) as container:
             stamps = _Stamps(self)
-            made_up = False
+            made_up, left_px = False, _most_pixels(self.path)
             for picture in container.decode(_video_stream(container, self.path)):
                 if picture.width * picture.height > MAX_PIXELS:
                     raise LogError(f"{self.path}: a picture claims {picture.width} px of width")
+                left_px -= picture.width * picture.height
+                if left_px < 0:
+                    raise LogError(f"{self.path}: {_TOO_LARGE}")
                 stamp_ns = stamps.of(picture.pts)
                 if stamp_ns is None:
                     continue
@@ -137,11 +144,14 @@ def open_video(path: Path, filmed_hz: float | None = None) -> Video:
         tags = {**stream.metadata, **container.metadata}
         shown = (packet.pts for packet in container.demux(stream) if _is_shown(packet))
         packets = list(islice(shown, _MOST_PICTURES + 1))
+        coded_px = stream.codec_context.width * stream.codec_context.height
         base, codec = stream.time_base, stream.codec_context.name
         is_bare, is_avi = container.format.name in _BARE, container.format.name == "avi"
         stated = stream.codec_context.framerate if is_bare else stream.average_rate
     if len(packets) > _MOST_PICTURES:
         raise LogError(f"{path}: holds over {_MOST_PICTURES} pictures; cut the drop out of it")
+    if coded_px * len(packets) > _most_pixels(path):
+        raise LogError(f"{path}: {_TOO_LARGE}")
     timed = [tick for tick in packets if tick is not None]
     ticks = None if is_bare or len(timed) < _MOSTLY * len(packets) else sorted(timed)
     if not packets or base is None:
@@ -208,6 +218,11 @@ def read_video(path: Path, options: ReadOptions = AS_IT_SAYS) -> Episode:
     )
 
 
+def _most_pixels(path: Path) -> int:
+    """That the pictures of a film may have together."""
+    return FREE_VIDEO_PIXELS + VIDEO_PIXELS_A_BYTE * path.stat().st_size
+
+
 def video_notes(video: Video) -> dict[str, str]:
     """What a log should say of the video that it was made from."""
     width, height = video.size
@@ -253,7 +268,7 @@ def _opened(path: Path) -> Iterator[InputContainer]:
     logging.set_level(None)  # errors come as exceptions; its printing would only disturb
     options = {"format_whitelist": _CONTAINERS, "protocol_whitelist": "file,pipe"}
     try:
-        with open(path, "rb") as file:
+        with open_regular(path) as file:
             form = "mjpeg" if file.read(3) == _JPEG_START else None
             file.seek(0)
             with av.open(file, "r", format=form, options=options) as container:

@@ -112,8 +112,9 @@ def _stored_rate(times: StoredTimes) -> float:
     if len(fresh) < 2:
         return 0.0
     periods = np.diff(np.array(fresh, np.int64))
-    usual = periods[np.abs(periods - np.median(periods)) <= 0.2 * np.median(periods)]
-    return float(1 / (np.mean(usual) * float(times.base_s)))
+    median = np.median(periods)
+    usual = periods[np.abs(periods - median) <= 0.2 * median]  # none of two that are far apart
+    return float(1 / ((np.mean(usual) if len(usual) else median) * float(times.base_s)))
 
 
 def _tagged_rate(text: str, stored_hz: float) -> float | None:

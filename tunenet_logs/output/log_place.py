@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import errno
 import math
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 from tunenet_logs.errors import LogError
+from tunenet_logs.output.claimed_name import ClaimedName
 from tunenet_logs.output.whole_file import free_bytes
 
 ACTIVE_SUFFIX = ".active"
@@ -21,9 +26,15 @@ _READ_ONLY = (errno.EACCES, errno.EPERM, errno.EROFS)
 _GB_FROM_MB = 10_000
 """From so many MB on, a disk is told of in GB."""
 
+_MOST_RESCUED = 100
+"""Copies of one log that may lie beside it."""
+
+_PIECE_BYTES = 1024 * 1024
+"""Copied at a time."""
+
 
 class LogPlace:
-    """A log's two names, and the space beside it.
+    """A log's two names, and the space beside it. The first one is this process's alone.
 
     Args:
         path: the finished log.
@@ -42,27 +53,25 @@ class LogPlace:
         self._overwrite = overwrite
         self._min_free_bytes = min_free_bytes
         try:
-            self.active_path = self._checked_names()
-            free = free_bytes(path.parent)
+            self._check_name()
+            self.active_path = path.with_name(path.name + ACTIVE_SUFFIX)
+            if why := self.why_too_full(free_bytes(path.parent)):
+                raise LogError(f"{path}: not recorded, {why}; free some space, or lower --min-free")
+            self.claim = ClaimedName(self.active_path, takes_over=overwrite)
+            try:
+                self._check_name()  # another may have ended its log before the claim
+            except LogError:
+                self.claim.remove()
+                raise
         except OSError as error:
             raise not_writable(path, error) from error
-        if why := self.why_too_full(free):
-            raise LogError(f"{path}: not recorded, {why}; free some space, or lower --min-free")
 
-    def _checked_names(self) -> Path:
-        """The name while it is written, where that and the finished log's may be taken."""
-        path, overwrite = self.path, self._overwrite
-        if path.is_dir():
-            raise LogError(f"{path}: is a directory; name a file to write")
-        if path.exists() and not overwrite:
-            raise LogError(f"{path}: exists; choose another name with -o, or pass --overwrite")
-        active_path = path.with_name(path.name + ACTIVE_SUFFIX)
-        if active_path.exists() and not overwrite:
-            raise LogError(
-                f"{active_path}: is left from a recording that did not end; save it with "
-                "tunenet-logs recover and move it away, or pass --overwrite to lose it"
-            )
-        return active_path
+    def _check_name(self) -> None:
+        """Refuse a name that the finished log cannot take."""
+        if self.path.is_dir():
+            raise LogError(f"{self.path}: is a directory; name a file to write")
+        if os.path.lexists(self.path) and not self._overwrite:
+            raise LogError(f"{self.path}: exists; choose another name with -o, or pass --overwrite")
 
     def why_too_full(self, free: int) -> str:
         """Why a disk with so many bytes free takes no more; "" if it does."""
@@ -72,18 +81,79 @@ class LogPlace:
         bound = math.ceil(self._min_free_bytes / scale)
         return f"the disk has {int(free / scale)} {unit} left and {bound} {unit} are to stay free"
 
-    def give_name(self, *, is_cut: bool) -> bool:
-        """Rename the file to the finished log; False where that is not possible.
+    def keep(
+        self, *, is_whole: bool, is_cut: bool = False, or_nothing: bool = False
+    ) -> Path | None:
+        """Give the file its last name, and let go of it; where it lies. None where it is lost.
 
-        A log that was cut by an error replaces none that is there.
+        Where the name cannot be given, it stays under its first one. Where it has lost that, as
+        somebody removed or replaced it, what it holds is copied to a name of its own.
+
+        Args:
+            is_whole: whether it has its end, so that every reader opens it.
+            is_cut: whether an error ended it; then it replaces no log that is there.
+            or_nothing: whether nothing is to be left where it cannot have its last name.
         """
-        if self.path.exists() and (is_cut or not self._overwrite):
-            return False
+        claim = self.claim
         try:
-            self.active_path.replace(self.path)
-        except OSError:
-            return False
-        return True
+            with suppress(OSError):
+                replaces = self._overwrite and not is_cut
+                if is_whole and claim.rename(self.path, replaces=replaces):
+                    return self.path
+            if or_nothing:
+                claim.remove()
+                return None
+            if claim.is_at(self.active_path):
+                return self.active_path
+            return claim.found_at() or self._rescued()
+        finally:
+            claim.release()
+
+    def _rescued(self) -> Path | None:
+        """A copy of a file that has no name any more, beside it or in the temporary folder."""
+        for folder in (self.path.parent, Path(tempfile.gettempdir())):
+            for number in range(1, _MOST_RESCUED + 1):
+                which = "" if number == 1 else f"_{number}"
+                name = folder / f"{self.path.stem}.rescued{which}{self.path.suffix}"
+                if os.path.lexists(name):
+                    continue
+                with suppress(OSError, LogError):
+                    if _copied(self.claim.descriptor, name):
+                        return name
+                break
+        return None
+
+    def called(self, path: Path) -> str:
+        """What a log that `keep` kept is called: by its name alone where it lies in its folder."""
+        return path.name if path.parent == self.path.parent else str(path)
+
+
+def _copied(descriptor: int, path: Path) -> bool:
+    """Copy an open file to a new name; whether all of it lies there.
+
+    Raises:
+        OSError, LogError: it cannot be written; nothing is left.
+    """
+    copy = ClaimedName(path.with_name(path.name + ACTIVE_SUFFIX), takes_over=False)
+    try:
+        for piece in _pieces(descriptor):
+            rest = memoryview(piece)
+            while rest:
+                rest = rest[os.write(copy.descriptor, rest) :]
+        os.fsync(copy.descriptor)
+        size = os.fstat(copy.descriptor).st_size
+        is_there = copy.rename(path, replaces=False)
+        return is_there and size == os.fstat(descriptor).st_size
+    finally:
+        copy.remove()  # nothing is there where it was renamed
+
+
+def _pieces(descriptor: int) -> Iterator[bytes]:
+    """All bytes of an open file; a short read is no end."""
+    at = 0
+    while piece := os.pread(descriptor, _PIECE_BYTES, at):
+        at += len(piece)
+        yield piece
 
 
 def not_writable(path: Path, error: OSError) -> LogError:

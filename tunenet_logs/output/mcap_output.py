@@ -44,7 +44,7 @@ class McapOutput:
     """An MCAP file in the making: zstd chunks, CRCs of chunks and of the whole.
 
     Args:
-        file: empty; closed by `close`.
+        file: empty.
         profile: of the log, as in the MCAP registry.
         library: what writes it.
 

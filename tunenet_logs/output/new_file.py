@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 
 from tunenet_logs.output.log_place import ACTIVE_SUFFIX
+from tunenet_logs.output.rename_new import rename_new
 
 _NO_NAMELESS = (errno.EOPNOTSUPP, errno.EISDIR, errno.EINVAL, errno.ENOENT, errno.EPERM)
 """How file systems and kernels say that they know no file without a name, or cannot name it."""
@@ -60,12 +61,10 @@ def write_aside(path: Path, data: bytes) -> None:
         OSError: it cannot be written; nothing is left.
     """
     aside = path.with_name(path.name + ACTIVE_SUFFIX)
-    file = os.open(aside, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+    file = os.open(aside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666)
     try:
         _write_all(file, data)
-        if path.exists():
-            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
-        aside.rename(path)
+        rename_new(aside, path)
     except BaseException:
         aside.unlink(missing_ok=True)
         raise

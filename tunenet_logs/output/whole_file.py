@@ -10,27 +10,24 @@ from pathlib import Path
 
 
 class WholeFile:
-    """A new file, written without a buffer: what `append` returned from is in the file.
+    """An open file, written without a buffer: what `append` returned from is in the file.
 
     In the file means that it survives this process being killed; `sync` makes it survive the
     machine. Where a piece does not fit, the file is cut back to the last whole one.
 
     Args:
-        path: the file; an old one is emptied.
+        descriptor: of the file, which is empty and opened for appending; it is not closed here.
 
     Attributes:
         size_bytes: of the whole pieces.
         crc32: of the whole pieces.
-
-    Raises:
-        OSError: it cannot be opened.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, descriptor: int) -> None:
         self.size_bytes = 0
         self.crc32 = 0
         self._is_torn = False
-        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
+        self._descriptor = descriptor
 
     def append(self, piece: bytes) -> None:
         """Write all of `piece`, or nothing.
@@ -58,21 +55,13 @@ class WholeFile:
         """
         os.fdatasync(self._descriptor)
 
+    def is_changed(self) -> bool:
+        """Whether somebody else has cut it, or written to it."""
+        return os.fstat(self._descriptor).st_size != self.size_bytes
+
     def free_bytes(self) -> int:
         """What an ordinary user may still write to this disk."""
         return free_bytes(self._descriptor)
-
-    def close(self) -> None:
-        """Let go of the file. Safe to call twice."""
-        if self._descriptor >= 0:
-            descriptor, self._descriptor = self._descriptor, -1
-            with suppress(OSError):  # nothing is held back that could be lost here
-                os.close(descriptor)
-
-    @property
-    def is_closed(self) -> bool:
-        """Whether it was let go of."""
-        return self._descriptor < 0
 
     def _cut_back(self) -> None:
         self._is_torn = True  # what follows half a piece could not be read

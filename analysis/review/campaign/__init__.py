@@ -19,6 +19,7 @@ from analysis.review.campaign.lanes import lane_view, log_lanes
 from analysis.review.campaign.overlay import overlay_view
 from analysis.review.campaign.times import ATTEMPT, slots_of
 from analysis.review.campaign.words import campaign_words
+from tunenet_logs.regular_file import real_path
 
 
 def write_campaign(campaign: Campaign, path: Path) -> None:
@@ -28,7 +29,7 @@ def write_campaign(campaign: Campaign, path: Path) -> None:
         OSError: `path` cannot be written.
     """
     words = campaign_words(campaign)
-    shown = os.fsencode(path.resolve()) + words.encode()
+    shown = os.fsencode(real_path(path)) + words.encode()
     identity = hashlib.sha256(shown).hexdigest()[:16]
     stream = rr.RecordingStream("tunenet review campaign", recording_id=identity)
     memory = stream.memory_recording()

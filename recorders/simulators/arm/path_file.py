@@ -11,6 +11,7 @@ import numpy as np
 
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import LogError, UsageError
+from tunenet_logs.regular_file import open_regular_text
 from tunenet_logs.terminal import short_name
 
 _MOST_ROWS, _MOST_COLUMNS, _MOST_RAD, _MOST_S = 200_000, 100, 1000.0, 3600.0
@@ -27,7 +28,7 @@ def read_path_file(file: Path) -> tuple[tuple[str, ...], Array, Array]:
         UsageError: no such table; with the line and what is wrong there.
     """
     try:
-        with file.open(encoding="utf-8-sig", newline="") as stream:
+        with open_regular_text(file, "utf-8-sig", newline="") as stream:
             lines = iter(lambda: stream.readline(_MOST_CHARACTERS), "")
             return _read(file, csv.reader(lines))
     except OSError as error:

@@ -12,10 +12,11 @@ import numpy as np
 
 from recorders.simulators.arm.rigid_bodies import NOTHING, Inertial, Transform
 from tunenet_logs.errors import UsageError
+from tunenet_logs.small_files import read_small_file
 from tunenet_logs.terminal import short_name
 
-_MOST_BYTES, _MOST_PARTS = 4_000_000, 1000
-"""Size and links of a file: more than any arm's; a larger one is refused before it costs time."""
+_MOST_BYTES, _MOST_TAGS, _MOST_PARTS = 4_000_000, 100_000, 1000
+"""Size, tags and links of a file: more than any arm's; what has more is refused before it costs."""
 
 _MOST_M, _MOST_RAD, _MOST_KG, _MOST_KG_M2 = 100.0, 1000.0, 10_000.0, 1e6
 """More than any arm has: a larger value is in other units."""
@@ -91,15 +92,16 @@ def read_urdf(path: Path) -> FileRobot:
 
 def _root(path: Path) -> ET.Element:
     try:
-        with path.open("rb") as file:
-            data = file.read(_MOST_BYTES + 1)
+        data = read_small_file(path, _MOST_BYTES)
         text = data.decode("utf-8-sig")
     except OSError as error:
         raise UsageError(f"{path}: {error.strerror}; --urdf takes a robot's URDF file") from error
     except UnicodeDecodeError as error:
         raise UsageError(f"{path}: is no text in UTF-8, so no URDF that can be read") from error
-    if len(data) > _MOST_BYTES:
-        raise UsageError(f"{path}: over {_MOST_BYTES // 1_000_000} MB, so no URDF of an arm")
+    except ValueError as error:
+        raise UsageError(f"{path}: {error}, so no URDF of an arm") from error
+    if text.count("<") > _MOST_TAGS:
+        raise UsageError(f"{path}: over {_MOST_TAGS} tags, so no URDF of an arm")
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise UsageError(f"{path}: has a document type, which no URDF needs; remove <!DOCTYPE ...>")
     try:

@@ -10,9 +10,12 @@ from typing import Any
 
 from recorders.simulators.shot.rig import NULLABLE, Hoop, Plane, Release, ShotBall, ShotRig
 from tunenet_logs.errors import UsageError
+from tunenet_logs.small_files import read_small_file
 from tunenet_logs.terminal import one_line, short_name
 
-_LARGEST_BYTES = 100_000
+_LARGEST_BYTES, _MOST_BRACKETS = 20_000, 64
+"""Ten times what a rig takes, and more than it has: YAML reads nested ones in quadratic time."""
+
 _PARTS: Mapping[str, type] = {"ball": ShotBall, "plane": Plane, "hoop": Hoop, "release": Release}
 _GRAVITY = "gravity_m_s2"
 
@@ -58,12 +61,13 @@ def read_rig(path: Path) -> ShotRig:
         UsageError: cannot be read, is no YAML, or holds what no rig has; names file and value.
     """
     try:
-        with path.open("rb") as file:
-            data = file.read(_LARGEST_BYTES + 1)
+        data = read_small_file(path, _LARGEST_BYTES)
     except OSError as error:
         raise UsageError(f"{path}: cannot be read ({error.strerror}); give --rig a file") from error
-    if len(data) > _LARGEST_BYTES:
-        raise UsageError(f"{path}: is larger than a rig's file ({_LARGEST_BYTES} bytes at most)")
+    except ValueError as error:
+        raise UsageError(
+            f"{path}: {error}, and no rig's file is; give --rig such a file"
+        ) from error
     try:
         return _rig_of(_loaded(data))
     except UsageError as error:
@@ -75,9 +79,14 @@ def _loaded(data: bytes) -> Any:
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
+    told = b"".join(line.partition(b"#")[0] for line in data.split(b"\n"))
+    if sum(map(told.count, (b"[", b"{"))) > _MOST_BRACKETS:
+        raise UsageError(f"over {_MOST_BRACKETS} brackets; see tunenet-plan --save-rig for a rig")
+    if any(mark in told for mark in (b"&", b"*", b"!")):
+        raise UsageError("holds &, * or !, which a rig's YAML does without; remove them")
     try:
         return YAML(typ="safe", pure=True).load(io.StringIO(data.decode("utf-8")))
-    except (YAMLError, ValueError, RecursionError) as error:
+    except (YAMLError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         mark = getattr(error, "problem_mark", None)
         where = "" if mark is None else f" in line {mark.line + 1}"
         what = getattr(error, "problem", None) or type(error).__name__

@@ -225,7 +225,7 @@ def test_without_speeds_it_says_so(tmp_path: Path):
         (tuning([(3.0, 0.7, 0.01)], task="payload"), LogError, "tuning of a payload"),
         (tuning([(3.0, 1.7, 0.01)]), LogError, "restitution 1.7 is not a number from 0 to 1"),
         (tuning([(-3.0, 0.7, 0.01)]), LogError, "impact_speed -3.0"),
-        (tuning([(3.0, float("nan"), 0.01)]), LogError, "restitution nan"),
+        (tuning([(3.0, float("nan"), 0.01)]), LogError, "NaN is no number"),
         (
             tuning([(3.0, 0.7, 0.01)], verdict="rejected", reason="stays in view: 20 %"),
             NotFoundError,

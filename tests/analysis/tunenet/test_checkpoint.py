@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import random
+import tracemalloc
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +15,14 @@ import pytest
 from analysis.drop.presets import TRAININGS
 from analysis.tunenet.checkpoint import Purpose, load_model, save_model, shipped_model
 from analysis.tunenet.network import NETWORKS, Model, Scaling, initial_weights
+from tests.analysis.tunenet.hostile_weights import (
+    DTYPES,
+    Header,
+    forged,
+    joined,
+    parted,
+    with_own_digest,
+)
 from tunenet_logs.errors import WeightsError
 
 PURPOSE = Purpose("drop", "default", "a curve", 12, 1, (60.0,))
@@ -84,3 +96,71 @@ def test_the_package_ships_weights_for_every_preset(name: str):
     preset = TRAININGS[name]
     model = shipped_model(preset.purpose)
     assert model.network.kind == preset.network.kind
+
+
+def rewritten(path: Path, change: Callable[[Header], Header]) -> None:
+    """Change the header, and make the digest fit."""
+    header, tensors = parted(path.read_bytes())
+    path.write_bytes(joined(with_own_digest(change(header), tensors), tensors))
+
+
+def test_what_a_stranger_rewrites_is_as_good_as_ours(saved: Path):
+    rewritten(saved, lambda header: header)
+    assert load_model(saved, PURPOSE).network.kind == "antisymmetric"
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_a_tensor_of_another_kind_is_refused(saved: Path, dtype: object):
+    tensor = "scaling.input_gain"
+    rewritten(saved, lambda header: {**header, tensor: {**header[tensor], "dtype": dtype}})
+    with pytest.raises(WeightsError, match=r"scaling\.input_gain.*has the dtype"):
+        load_model(saved, PURPOSE)
+
+
+@pytest.mark.parametrize("values", [2, 3, 12])
+def test_a_scaling_of_a_shape_that_fits_nothing_is_refused(tmp_path: Path, values: int):
+    scaling = Scaling(np.zeros(12), np.ones(1), np.zeros(values), np.ones(1))
+    save_model(tmp_path / "w", replace(make(), scaling=scaling), PURPOSE, {})
+    with pytest.raises(WeightsError, match=r"scaling\.output_offset.*misshapen"):
+        load_model(tmp_path / "w", PURPOSE)
+
+
+@pytest.mark.parametrize("rates", ["[NaN]", "[]", "[1e999]", "[-60]", "[true]", "60", "[" * 5000])
+def test_rates_that_are_none_are_refused(saved: Path, rates: str):
+    def change(header: Header) -> Header:
+        return {**header, "__metadata__": {**header["__metadata__"], "rates_hz": rates}}
+
+    rewritten(saved, change)
+    with pytest.raises(WeightsError, match="rates_hz"):
+        load_model(saved, PURPOSE)
+
+
+def test_a_weight_that_no_network_has_is_refused(tmp_path: Path):
+    save_model(tmp_path / "w", make(1e200), PURPOSE, {})
+    with pytest.raises(WeightsError, match="beyond"):
+        load_model(tmp_path / "w", PURPOSE)
+
+
+def test_a_pipe_is_refused_at_once(tmp_path: Path):
+    os.mkfifo(tmp_path / "w")
+    with pytest.raises(WeightsError, match="regular file"):
+        load_model(tmp_path / "w", PURPOSE)
+
+
+def test_nothing_but_our_own_error_comes_of_a_forged_file(saved: Path):
+    whole, chance = saved.read_bytes(), random.Random(0)
+    said: list[str] = []
+    tracemalloc.start()
+    for _ in range(600):
+        saved.write_bytes(forged(whole, chance))
+        try:
+            load_model(saved, PURPOSE)
+        except WeightsError as error:
+            said.append(str(error))
+    peak_bytes = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(said) > 500
+    for line in said:
+        assert line.isprintable()
+        assert len(line.removeprefix(f"{saved}: ")) < min(400, len(line))
+    assert peak_bytes < 4_000_000

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import resource
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,7 +10,7 @@ import pytest
 
 from tests.conftest import BIN
 from tests.export_bombs import BOMBS
-from tests.hostile import LAUNCHER
+from tests.hostile import spent
 
 MOST_KIB = 500_000
 MOST_LONG_KIB = 640_000
@@ -31,16 +28,11 @@ QUICK = (
 def met(bomb: Callable[[Path], Path], folder: Path) -> str:
     """What the tuner says of a file, once it was found that it took little for that."""
     path = bomb(folder)
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
     command = [str(BIN / "tunenet-tune"), str(path), "-o", str(folder / "out")]
-    line = [sys.executable, "-c", LAUNCHER, *command]
-    done = subprocess.run(line, cwd=folder, capture_output=True, text=True, timeout=120)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    said, _, peak = (done.stdout + done.stderr).rpartition("peak ")
-    cpu_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    assert done.returncode == 1, said
+    said, code, cpu_s, peak_kib = spent(command, folder)
+    assert code == 1, said
     assert "Traceback" not in said
-    assert int(peak) < (MOST_LONG_KIB if bomb.__name__.startswith("long_") else MOST_KIB)
+    assert peak_kib < (MOST_LONG_KIB if bomb.__name__.startswith("long_") else MOST_KIB)
     assert cpu_s < MOST_CPU_S, said
     results = list((folder / "out").glob("*.json")) if (folder / "out").is_dir() else []
     if not results:

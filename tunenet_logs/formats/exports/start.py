@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+from tunenet_logs.regular_file import open_regular
+
 _BYTES = 65536
 """Looked at of a file."""
 
@@ -43,5 +45,5 @@ def start_of(path: Path) -> Start:
     Raises:
         OSError: it cannot be read.
     """
-    with open(path, "rb") as file:
+    with open_regular(path) as file:
         return Start(path, file.read(_BYTES))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from functools import lru_cache
 
 from tunenet_logs.formats.tables.meaning import (
     LENGTHS,
@@ -169,14 +170,23 @@ _UNITS: dict[Words, tuple[tuple[str, ...], float]] = {
 """Units at the end of a name: which quantities have them, and their size in rad, rad/s, N·m, A."""
 
 
+_MOST_KNOWN = 1000
+"""Names whose meaning is kept: a line is looked at in several ways."""
+
+
 def meaning_of(name: str) -> Meaning:
     """What a column's name means."""
-    if len(name) > _LONGEST:
-        return UNKNOWN
+    return UNKNOWN if len(name) > _LONGEST else _meaning_of(name)
+
+
+@lru_cache(maxsize=_MOST_KNOWN)
+def _meaning_of(name: str) -> Meaning:
+    before: Words = ()
     for camel in (False, True):  # a joint called LeftKnee is to keep its name
         words = words_of(name, camel=camel)
-        if not words or len(words) > _MOST_WORDS:
+        if not words or len(words) > _MOST_WORDS or words == before:
             break
+        before = words
         lower = lowered(words)
         found = _time(name, lower) or _number_of(lower) or _coordinate_of(lower) or _joint_of(words)
         if found is not None:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from tunenet_logs.errors import LogError
+from tunenet_logs.regular_file import open_regular, open_regular_text
 
 SUFFIXES = (".csv", ".tsv", ".txt")
 """Of files that may be tables."""
@@ -24,6 +25,10 @@ _UTF16 = (b"\xff\xfe", b"\xfe\xff")
 """How UTF-16 begins; spreadsheets write it as "Unicode text"."""
 
 
+_MOST_LINES = 4_000_000
+"""Of a table, empty ones too: as many again as it may have rows."""
+
+
 def is_table(path: Path) -> bool:
     """Whether a file is text, by its name and its first bytes.
 
@@ -32,7 +37,7 @@ def is_table(path: Path) -> bool:
     """
     if path.suffix.lower() not in SUFFIXES:
         return False
-    with open(path, "rb") as file:
+    with open_regular(path) as file:
         start = file.read(4096)
     return start.startswith(_UTF16) or b"\0" not in start
 
@@ -41,16 +46,22 @@ def lines_of(path: Path) -> Iterator[str | None]:
     """The lines without their ends; None for one that is too long for any table.
 
     Raises:
-        LogError: the file is too large.
+        LogError: the file is too large, or has too many lines.
         OSError: it cannot be read.
     """
     size = path.stat().st_size
     if size > _MOST_BYTES:
         raise LogError(f"{path}: is a table of {size} bytes, over the limit of 512 MiB; split it")
-    with open(path, "rb") as file:
+    with open_regular(path) as file:
         encoding = "utf-16" if file.read(2) in _UTF16 else "utf-8-sig"
-    with open(path, encoding=encoding, errors="replace") as file:
+    with open_regular_text(path, encoding, errors="replace") as file:
+        count = 0
         while line := file.readline(MOST_LINE):
+            count += 1
+            if count > _MOST_LINES:
+                raise LogError(
+                    f"{path}: is a table of over {_MOST_LINES} lines, the limit; split it"
+                )
             whole = line.endswith("\n") or len(line) < MOST_LINE
             while not line.endswith("\n") and len(line) == MOST_LINE:
                 line = file.readline(MOST_LINE)

@@ -72,7 +72,7 @@ def _named(place: str, names: Sequence[str]) -> int | None:
     folded, wanted = [name.casefold() for name in stripped], place.casefold()
     if wanted in folded:
         return folded.index(wanted)
-    without = [re.sub(r"\s*[(\[][^()\[\]]*[)\]]$", "", name) for name in folded]
+    without = [re.sub(r"(?<!\s)\s*[(\[][^()\[\]]*[)\]]$", "", name) for name in folded]
     return without.index(wanted) if without.count(wanted) == 1 else None
 
 

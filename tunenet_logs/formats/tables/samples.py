@@ -125,8 +125,8 @@ class SignalSamples:
         if len(wrong):
             at = int(wrong[0])
             raise ValueError(
-                f"times of impacts do not increase: {arrivals[at] * 1e-9:.9g} s is followed by "
-                f"{arrivals[at + 1] * 1e-9:.9g} s; give times since a start, not intervals"
+                f"times of impacts do not increase: {arrivals[at] * 1e-9:.13g} s is followed by "
+                f"{arrivals[at + 1] * 1e-9:.13g} s; give times since a start, not intervals"
             )
         ones = np.ones((len(arrivals), 1))
         signal = Signal(

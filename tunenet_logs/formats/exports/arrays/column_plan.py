@@ -250,7 +250,7 @@ def _unused(
     alike: dict[tuple[str, str], list[str]] = {}
     for name, other in zip(names, others, strict=True):
         if other in reasons and other and "_".join(_words(name)) not in _RUNS:
-            key = (re.sub(r"\d+(?=\W*$)", "#", name), reasons[other])
+            key = (re.sub(r"(?<!\d)\d++(?=\W*$)", "#", name), reasons[other])
             alike.setdefault(key, []).append(name)
     return {
         found[0] if len(found) == 1 else f"{found[0]} to {found[-1]}": why

@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, TextIO
 
+from tunenet_logs.regular_file import open_regular, open_regular_text
+
 _CHUNK = 262_144
 """Characters read at a time."""
 
@@ -34,7 +36,7 @@ def json_values(path: Path) -> Iterator[Any]:
         DamagedJsonError: it is no JSON from some place on, or a value is too large.
         OSError: it cannot be read.
     """
-    with open(path, encoding=_encoding(path), errors="replace") as file:
+    with open_regular_text(path, _encoding(path), errors="replace") as file:
         window = _Window(file)
         is_array = window.next_mark(" \t\r\n\ufeff") == "["
         if is_array:
@@ -119,7 +121,7 @@ class _Window:
 
 
 def _encoding(path: Path) -> str:
-    with open(path, "rb") as file:
+    with open_regular(path) as file:
         return "utf-16" if file.read(2) in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
 
 

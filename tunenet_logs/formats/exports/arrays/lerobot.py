@@ -18,6 +18,7 @@ from tunenet_logs.formats.exports.arrays.named_columns import columns_episode
 from tunenet_logs.formats.exports.arrays.parquet_columns import ParquetColumn
 from tunenet_logs.formats.read_options import ReadOptions
 from tunenet_logs.formats.tables.times import Clock
+from tunenet_logs.regular_file import open_regular, real_path
 
 _MOST_INFO_BYTES = 1024**2
 """Of meta/info.json."""
@@ -95,12 +96,12 @@ def data_set_of(path: Path) -> DataSet:
     parents = path.absolute().parents
     if len(parents) < 3:
         return DataSet(warning="no meta/info.json beside it: joints go by their numbers")
-    root = parents[2].resolve()
+    root = real_path(parents[2])
     info = root / "meta" / "info.json"
     try:
-        if not info.resolve().is_relative_to(root) or not info.is_file():
+        if not real_path(info).is_relative_to(root) or not info.is_file():
             return DataSet(warning="no meta/info.json beside it: joints go by their numbers")
-        with open(info, "rb") as file:
+        with open_regular(info) as file:
             said = json.loads(file.read(_MOST_INFO_BYTES))
         features = dict(said["features"])
         labels = {str(name): _labels(one) for name, one in features.items()}

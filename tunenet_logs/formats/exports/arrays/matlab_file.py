@@ -15,6 +15,7 @@ from tunenet_logs.formats.exports.arrays.matlab_elements import (
 )
 from tunenet_logs.formats.exports.start import Start
 from tunenet_logs.formats.read_options import ReadOptions
+from tunenet_logs.regular_file import open_regular
 
 _LEVEL5 = b"MATLAB 5.0 MAT-file"
 _LEVEL73 = b"MATLAB 7.3 MAT-file"
@@ -40,7 +41,8 @@ def read_matlab_file(path: Path, options: ReadOptions) -> Episode:
             f"{path}: has {size} bytes, over the limit of {MOST_BYTES >> 20} MiB; save fewer "
             "variables"
         )
-    data = path.read_bytes()
+    with open_regular(path) as file:
+        data = file.read()
     if data.startswith((_LEVEL73, _HDF5)):
         raise LogError(f"{path}: is a MATLAB file of version 7.3, which is not read; {_REMEDY}")
     found = MatlabArrays()

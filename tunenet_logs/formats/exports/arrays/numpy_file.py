@@ -24,6 +24,7 @@ from tunenet_logs.formats.exports.arrays.array_columns import (
 )
 from tunenet_logs.formats.exports.start import Start
 from tunenet_logs.formats.read_options import ReadOptions
+from tunenet_logs.regular_file import open_regular
 
 _NPY = b"\x93NUMPY"
 _ZIP = b"PK\x03\x04"
@@ -67,7 +68,7 @@ def read_numpy_file(path: Path, options: ReadOptions) -> Episode:
         LogError: it is damaged, too large, or its names do not say what it holds.
         OSError: it cannot be read.
     """
-    with open(path, "rb") as file:
+    with open_regular(path) as file:
         if file.read(len(_NPY)) == _NPY:
             file.seek(0)
             return _read_single(path, file, options)
@@ -102,7 +103,7 @@ def _members(path: Path, unused: dict[str, str]) -> dict[str, NDArray[Any]]:
     _check_directory(path)
     arrays: dict[str, NDArray[Any]] = {}
     left = MOST_BYTES
-    with zipfile.ZipFile(path) as archive:
+    with open_regular(path) as packed, zipfile.ZipFile(packed) as archive:
         members = [one for one in archive.infolist() if one.filename.endswith(".npy")]
         if len(members) > _MOST_ARRAYS:
             raise _RefusedError(f"holds {len(members)} arrays, over the limit of {_MOST_ARRAYS}")
@@ -126,7 +127,7 @@ def _check_directory(path: Path) -> None:
     size = path.stat().st_size
     if size > _MOST_FILE_BYTES:
         raise _RefusedError(f"has {size} bytes, over the limit of 1 GiB; save fewer arrays")
-    with open(path, "rb") as file:
+    with open_regular(path) as file:
         file.seek(max(0, size - 65536 - _END.size))
         tail = file.read()
     at = tail.rfind(b"PK\x05\x06")

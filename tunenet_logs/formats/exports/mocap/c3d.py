@@ -32,6 +32,7 @@ from tunenet_logs.formats.exports.mocap.number_rows import MOST_COLUMNS
 from tunenet_logs.formats.exports.mocap.track_rows import TrackRows
 from tunenet_logs.formats.exports.start import Start
 from tunenet_logs.formats.read_options import ReadOptions
+from tunenet_logs.regular_file import open_regular
 
 WHAT = "C3D file"
 """What it is called."""
@@ -66,7 +67,7 @@ def read_c3d(path: Path, options: ReadOptions) -> Episode:
         LogError: it has no point, no frame, or its header is damaged.
         OSError: it cannot be read.
     """
-    with open(path, "rb") as file:
+    with open_regular(path) as file:
         try:
             header = header_of(file.read(_HEADER_BYTES))
         except ValueError as error:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from tunenet_logs.errors import LogError
 from tunenet_logs.formats.tables.lines import MOST_LINE, cells_of
+from tunenet_logs.regular_file import open_regular, open_regular_text
 
 MOST_COLUMNS = 5000
 """Of a file of tracks: more than a thousand markers."""
@@ -105,9 +106,9 @@ def open_lines(path: Path) -> Iterator[LineReader]:
             f"{path}: is an export of {size} bytes, over the limit of 1 GiB; export fewer markers "
             "or a part of the take"
         )
-    with open(path, "rb") as file:
+    with open_regular(path) as file:
         encoding = "utf-16" if file.read(2) in _UTF16 else "utf-8-sig"
-    with open(path, encoding=encoding, errors="replace") as file:
+    with open_regular_text(path, encoding, errors="replace") as file:
         yield LineReader(file)
 
 

@@ -21,6 +21,7 @@ from tunenet_logs.formats.exports.pictures.picture_series import MOST_PICTURES
 from tunenet_logs.formats.exports.start import Start
 from tunenet_logs.formats.read_options import ReadOptions
 from tunenet_logs.images import MAX_PIXELS
+from tunenet_logs.regular_file import open_regular
 
 TOPIC = "video"
 """What the pictures go by, as a video's."""
@@ -110,7 +111,7 @@ def _scanned(path: Path) -> tuple[tuple[int, int], list[_Chunk], list[int], bool
     parts: list[_Chunk] = []
     lasts_ms: list[int] = []
     size = path.stat().st_size
-    with open(path, "rb") as file:
+    with open_regular(path) as file:
         file.seek(24)
         canvas = (1 + _number(file.read(3)), 1 + _number(file.read(3)))
         if canvas[0] * canvas[1] > MAX_PIXELS:
@@ -167,7 +168,7 @@ def _frames(
     """
     width, height = canvas
     picture = np.zeros((height, width, 3), np.uint8)
-    with open(path, "rb") as file:
+    with open_regular(path) as file:
         for stamp_ns, part in zip(stamps_ns.tolist(), parts, strict=True):
             file.seek(part.at)
             place = (

@@ -18,6 +18,7 @@ from tunenet_logs.formats.exports.pictures.picture_film import FEWEST, PictureSt
 from tunenet_logs.formats.exports.pictures.picture_series import SUFFIXES
 from tunenet_logs.formats.exports.start import Start
 from tunenet_logs.formats.read_options import ReadOptions
+from tunenet_logs.regular_file import open_regular
 
 _STARTS = (b"PK\x03\x04", b"PK\x05\x06")
 """Of a zip with files, and of one without."""
@@ -63,7 +64,7 @@ def read_picture_archive(path: Path, options: ReadOptions) -> Episode:
         LogError: there is no film in it, it is damaged, or larger unpacked than it may be.
         OSError: it cannot be read.
     """
-    with open(path, "rb") as file:
+    with open_regular(path) as file:
         if not file.read(4).startswith(_STARTS):
             return read_animated_webp(path, options)
     size = path.stat().st_size
@@ -85,7 +86,7 @@ def _pictures(path: Path, size: int) -> list[str]:
     """
     _check_directory(path, size)
     try:
-        with zipfile.ZipFile(path) as archive:
+        with open_regular(path) as file, zipfile.ZipFile(file) as archive:
             named = [one for one in archive.infolist() if one.filename]
             entries = [one for one in named if not one.is_dir()]
     except _UNREADABLE as error:
@@ -121,7 +122,7 @@ def _check_directory(path: Path, size: int) -> None:
     Raises:
         LogError: it would, or the list is not there.
     """
-    with open(path, "rb") as file:
+    with open_regular(path) as file:
         file.seek(max(0, size - _LONGEST_COMMENT - 200))
         tail = file.read(_LONGEST_COMMENT + 200)
     at, at64 = tail.rfind(_END), tail.rfind(_END64)
@@ -140,7 +141,7 @@ def _check_directory(path: Path, size: int) -> None:
 @contextmanager
 def _opened(path: Path) -> Iterator[Read]:
     try:
-        with zipfile.ZipFile(path) as archive:
+        with open_regular(path) as file, zipfile.ZipFile(file) as archive:
             yield partial(_bytes_of, archive)
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror})") from error

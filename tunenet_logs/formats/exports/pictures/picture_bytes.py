@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from tunenet_logs.episode import Frame
 from tunenet_logs.errors import LogError
-from tunenet_logs.images import MAX_PIXELS, image_format
+from tunenet_logs.images import MAX_PIXELS, image_format, image_size
 
 MOST_BYTES = 120_000_000
 """Of one file: more than the largest picture has, uncompressed."""
@@ -125,7 +125,7 @@ def _stated_size(data: bytes) -> tuple[int, int]:
         if match := _PNM.match(data[:4096]):
             return int(match[1]), int(match[2])
         if _is_deep_png(data):
-            return struct.unpack_from(">II", data, 16)
+            return image_size(data)
     except struct.error as error:
         raise LogError("a picture is cut") from error
     raise LogError("a picture is no JPEG, PNG, TIFF, BMP, WebP or PNM")

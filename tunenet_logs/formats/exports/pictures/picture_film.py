@@ -135,9 +135,9 @@ def _frames(
             try:
                 data = read(name)
                 frame = frame_of(stamp_ns, data, depths[topic])
-                width, height = frame.size_px()
-                pixels += width * height
-                paid += min(_PIXELS_A_BYTE * len(data), width * height)
+                work = frame.work_px()
+                pixels += work
+                paid += min(_PIXELS_A_BYTE * len(data), work)
             except LogError:
                 frame = Frame(stamp_ns, "damaged", b"")
             most = _FREE_PIXELS + paid if store.most_pixels is None else store.most_pixels

@@ -7,6 +7,7 @@ from pathlib import Path
 from xml.parsers import expat
 
 from tunenet_logs.errors import LogError
+from tunenet_logs.regular_file import open_regular
 
 _CHUNK_BYTES = 1024**2
 _MOST_DEPTH = 50
@@ -49,7 +50,7 @@ def read_elements(path: Path, what: str, begin: Begin) -> None:
     parser.StartDoctypeDeclHandler = refuse
     parser.EntityDeclHandler = refuse
     try:
-        with open(path, "rb") as file:
+        with open_regular(path) as file:
             while data := file.read(_CHUNK_BYTES):
                 parser.Parse(data, False)
         parser.Parse(b"", True)

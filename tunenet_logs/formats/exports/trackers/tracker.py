@@ -27,6 +27,7 @@ from tunenet_logs.formats.tables.layout import MOST_COLUMNS
 from tunenet_logs.formats.tables.lines import cells_of, lines_of
 from tunenet_logs.formats.tables.meaning import LENGTHS, POWERS, lowered, words_of
 from tunenet_logs.formats.tables.numbers import Numbers, decimal_of
+from tunenet_logs.regular_file import open_regular
 
 _FIRST = ("t", "frame", "step")
 """What the first column of Tracker's is called."""
@@ -87,7 +88,7 @@ def read_tracker(path: Path, options: ReadOptions) -> Episode:
         LogError: no row can be read, or many cannot.
         OSError: the file cannot be read.
     """
-    with open(path, "rb") as file:
+    with open_regular(path) as file:
         if _PROJECT in file.read(4096):
             raise LogError(
                 f"{path}: is a project of Tracker, not its data; in Tracker, choose File > Export "

@@ -1,0 +1,166 @@
+"""A safetensors file of ours, read strictly: its header is checked before its tensors are read.
+
+The format: 8 bytes with the header's length, little-endian; the header, a JSON object with dtype,
+shape and place of each tensor by name, and strings under `__metadata__`; the tensors' bytes.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tunenet_logs.arrays import Array
+from tunenet_logs.errors import LogError, WeightsError
+from tunenet_logs.small_files import parse_json, read_small_file
+from tunenet_logs.terminal import one_line, short_name
+
+REMEDY = "train the network again, or copy its file again"
+
+_MOST_FILE_BYTES = 32 * 1024 * 1024
+"""Thirty times the largest network of ours."""
+
+_MOST_HEADER_BYTES = 64 * 1024
+"""Thirty times what a header of ours takes."""
+
+_MOST_NOTES, _MOST_CHARACTERS = 64, 4000
+"""Strings in a header, and characters in one: several times what ours have."""
+
+_LARGEST = 1e9
+"""Of a weight: no product of a network's layers is then infinite."""
+
+_DTYPE, _NUMPY_DTYPE = "F64", np.dtype("<f8")
+"""What `tunenet-train` writes."""
+
+
+@dataclass(frozen=True)
+class WeightsFile:
+    """A file whose header makes sense.
+
+    Attributes:
+        metadata: its strings by name.
+        entries: what the header says of each tensor.
+        data: the tensors' bytes.
+    """
+
+    path: Path
+    metadata: Mapping[str, str]
+    entries: Mapping[str, Any]
+    data: bytes
+
+    def tensors(self, wanted: Mapping[str, Collection[tuple[int, ...]]]) -> dict[str, Array]:
+        """All tensors: exactly the `wanted` ones, each in one of its shapes, side by side.
+
+        Raises:
+            WeightsError: one is missing, or not as it has to be; with its name.
+        """
+        found: dict[str, Array] = {}
+        places: list[tuple[int, int, str]] = []
+        for name in self.entries:
+            if name not in wanted:
+                raise self._wrong(f"tensor {short_name(name)!r} is none of this network")
+        for name, shapes in wanted.items():
+            start, shape = self._place(name, shapes)
+            size = math.prod(shape) * _NUMPY_DTYPE.itemsize
+            places.append((start, start + size, name))
+            if start + size > len(self.data):
+                raise self._wrong(f"tensor {name!r} goes beyond the file's end")
+            found[name] = np.frombuffer(
+                self.data, _NUMPY_DTYPE, math.prod(shape), offset=start
+            ).reshape(shape)
+        ends = [0, *(end for _, end, _ in sorted(places))]
+        for (start, _, name), end_before in zip(sorted(places), ends, strict=False):
+            if start != end_before:
+                raise self._wrong(f"tensor {name!r} does not begin where the one before it ends")
+        if ends[-1] != len(self.data):
+            raise self._wrong(f"{len(self.data) - ends[-1]} bytes after its tensors")
+        for name, tensor in found.items():
+            if not np.all(np.abs(tensor) <= _LARGEST):
+                raise self._wrong(f"tensor {name!r} is not finite, or beyond {_LARGEST:g}")
+        return found
+
+    def _place(self, name: str, shapes: Collection[tuple[int, ...]]) -> tuple[int, tuple[int, ...]]:
+        """First byte and shape of a tensor."""
+        entry = self.entries.get(name)
+        if entry is None:
+            raise self._wrong(f"tensor {name!r} is missing")
+        if not isinstance(entry, dict) or entry.keys() != {"dtype", "shape", "data_offsets"}:
+            raise self._wrong(f"tensor {name!r} has no dtype, shape and data_offsets")
+        if entry["dtype"] != _DTYPE:
+            what = short_name(entry["dtype"])
+            raise self._wrong(f"tensor {name!r} has the dtype {what}, not {_DTYPE}")
+        shape, offsets = entry["shape"], entry["data_offsets"]
+        if not _are_whole(shape) or tuple(shape) not in shapes:
+            known = " or ".join(map(str, sorted(set(shapes))))
+            raise self._wrong(f"tensor {name!r} is misshapen: {short_name(shape)}, not {known}")
+        size = math.prod(shape) * _NUMPY_DTYPE.itemsize
+        if not _are_whole(offsets) or len(offsets) != 2 or offsets[1] - offsets[0] != size:
+            what = short_name(offsets)
+            raise self._wrong(f"tensor {name!r} has data_offsets {what} for {size} bytes")
+        return offsets[0], tuple(shape)
+
+    def _wrong(self, what: str) -> WeightsError:
+        return WeightsError(f"{self.path}: {what}; {REMEDY}")
+
+
+def read_weights_file(path: Path) -> WeightsFile:
+    """Read a file and check its header.
+
+    Raises:
+        WeightsError: it is no safetensors file, or none of ours; names file and remedy.
+    """
+    try:
+        content = read_small_file(path, _MOST_FILE_BYTES)
+        data, header = _parted(content)
+    except FileNotFoundError as error:
+        raise WeightsError(f"{path}: no such file") from error
+    except LogError as error:
+        raise WeightsError(str(error)) from error
+    except OSError as error:
+        raise WeightsError(f"{path}: cannot be read ({error.strerror}); {REMEDY}") from error
+    except ValueError as error:
+        why = one_line(error)
+        raise WeightsError(f"{path}: is no readable safetensors file ({why}); {REMEDY}") from error
+    metadata = header.pop("__metadata__", {})
+    if not isinstance(metadata, dict) or len(metadata) > _MOST_NOTES:
+        raise WeightsError(f"{path}: its __metadata__ is no list of a few strings; {REMEDY}")
+    for name, text in metadata.items():
+        if not isinstance(text, str) or max(len(text), len(name)) > _MOST_CHARACTERS:
+            what = f"{short_name(name)!r} in its __metadata__"
+            raise WeightsError(
+                f"{path}: {what} is no string of at most {_MOST_CHARACTERS} characters; {REMEDY}"
+            )
+    return WeightsFile(path, metadata, header, data)
+
+
+def _parted(content: bytes) -> tuple[bytes, dict[str, Any]]:
+    """The tensors' bytes, and the header.
+
+    Raises:
+        ValueError: there is none.
+    """
+    if len(content) < 8:
+        raise ValueError(f"{len(content)} bytes")
+    (length,) = struct.unpack_from("<Q", content)
+    if length > _MOST_HEADER_BYTES:
+        raise ValueError(f"a header of {length} bytes; {_MOST_HEADER_BYTES} at most")
+    if 8 + length > len(content):
+        raise ValueError(f"a header of {length} bytes in a file of {len(content)}")
+    header = parse_json(content[8 : 8 + length])
+    if not isinstance(header, dict):
+        raise ValueError("its header is no object")
+    return content[8 + length :], header
+
+
+def _are_whole(values: Any) -> bool:
+    """Whether this is a short list of whole numbers from zero on."""
+    return (
+        isinstance(values, list)
+        and len(values) <= 4
+        and all(type(value) is int and value >= 0 for value in values)
+    )

@@ -1,0 +1,74 @@
+"""Opens a camera in a thread of its own: whatever it waits for, Ctrl-C and a deadline work."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+from recorders.camera.base import Source
+from tunenet_logs.errors import CameraError
+
+
+def opened_within(seconds: float, shown: str, open_source: Callable[[], Source]) -> Source:
+    """What `open_source` opens.
+
+    Name servers, drivers and libraries in C hold up the thread that calls them, and no signal is
+    handled there until they return. What opens too late is closed.
+
+    Args:
+        seconds: the longest to wait for it.
+        shown: the camera, for an error.
+        open_source: raises what it raises here.
+
+    Raises:
+        CameraError: it takes longer.
+    """
+    opening = _Opening(open_source)
+    opening.start()
+    try:
+        if not opening.is_done.wait(seconds):
+            raise CameraError(f"{shown}: cannot be opened within {seconds:g} s; is the camera on?")
+        return opening.take()
+    finally:
+        opening.abandon()
+
+
+class _Opening(threading.Thread):
+    """A daemon: a camera that never opens must not keep the process."""
+
+    def __init__(self, open_source: Callable[[], Source]) -> None:
+        super().__init__(name="camera opening", daemon=True)
+        self.is_done = threading.Event()
+        self._open_source = open_source
+        self._lock = threading.Lock()
+        self._is_wanted = True
+        self._source: Source | None = None
+        self._error: BaseException | None = None
+
+    def run(self) -> None:
+        try:
+            source = self._open_source()
+            with self._lock:
+                if self._is_wanted:
+                    self._source = source
+                else:
+                    source.close()
+        except BaseException as error:  # noqa: BLE001 (it is raised again where it is waited for)
+            self._error = error
+        self.is_done.set()
+
+    def take(self) -> Source:
+        """What was opened, once it is done."""
+        with self._lock:
+            source, self._source = self._source, None
+        if source is None:
+            assert self._error is not None
+            raise self._error
+        return source
+
+    def abandon(self) -> None:
+        """Close what was opened and not taken, now or later."""
+        with self._lock:
+            self._is_wanted = False
+            if self._source is not None:
+                self._source.close()

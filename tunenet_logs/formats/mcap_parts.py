@@ -1,0 +1,171 @@
+"""Records of an MCAP file taken apart: bounded by their own bytes, and in how many parts they have.
+
+The channels, as the file describes them and as its summary repeats them.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Mapping
+from io import BytesIO
+from typing import BinaryIO
+
+from mcap import records as mcap_records
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+
+from tunenet_logs.formats.base import DAMAGED, RawChannel
+from tunenet_logs.formats.budget import CHUNK_RECORDS, PART_RECORDS, Budget
+from tunenet_logs.formats.compression import MAX_PART_BYTES, unpack
+from tunenet_logs.formats.mcap_search import CHUNK, summary_records
+
+MCAP_DAMAGED = (*DAMAGED, McapError)
+"""What parsing raises on damaged bytes, the mcap library's own errors too."""
+
+_MOST_PARTS = 20_000
+"""Numbers and texts that one record is made of, twice as many as the words of its metadata."""
+
+
+class _Exact(BytesIO):
+    """Bytes that refuse to be read beyond their end; the library would take what there is."""
+
+    parts = 0
+
+    def read(self, size: int | None = -1) -> bytes:
+        """Reads `size` bytes; raises ValueError if there are fewer, or it was asked too often."""
+        data = super().read(size)
+        self.parts += 1
+        if size is not None and len(data) < size:
+            raise ValueError(f"a part of it claims {size} bytes")
+        if self.parts > _MOST_PARTS:
+            raise ValueError(f"it has over {_MOST_PARTS} parts")
+        return data
+
+
+def part_stream(body: memoryview, budget: Budget) -> ReadDataStream:
+    """What the mcap library reads a record from.
+
+    Raises:
+        OverBudgetError: it is one record too many.
+    """
+    budget.spend_records(PART_RECORDS)
+    return ReadDataStream(_Exact(body))
+
+
+def channels_of_summary(file: BinaryIO, size: int, budget: Budget) -> dict[int, RawChannel]:
+    """The channels as a whole summary at the end of the file repeats them, by number.
+
+    Empty where the summary is missing or damaged.
+
+    Raises:
+        OverBudgetError: it has more records than a log of that size.
+    """
+    found: dict[int, RawChannel] = {}
+    schemas: dict[int, mcap_records.Schema] = {}
+    try:
+        for opcode, body in summary_records(file, size):
+            budget.spend_records()
+            if opcode == Opcode.SCHEMA:
+                schema = mcap_records.Schema.read(part_stream(body, budget))
+                schemas[schema.id] = schema
+            elif opcode == Opcode.CHANNEL:
+                channel = mcap_records.Channel.read(part_stream(body, budget))
+                found[channel.id] = _with_schema(channel, schemas)
+    except (*MCAP_DAMAGED, OSError):
+        return {}
+    return found
+
+
+def unpacked_chunk(body: memoryview, budget: Budget) -> tuple[memoryview, bool]:
+    """The records of a chunk, and whether it carries their checksum.
+
+    Raises:
+        ValueError, struct.error: it is damaged.
+        OverBudgetError: it is too much.
+    """
+    budget.spend_records(CHUNK_RECORDS)
+    _, _, stated, crc, length = CHUNK.unpack_from(body)
+    at = CHUNK.size + length
+    compression = bytes(body[CHUNK.size : at]).decode("ascii", "replace")
+    (packed,) = struct.unpack_from("<Q", body, at)
+    if packed > len(body) - at - 8:
+        raise ValueError(f"it claims {packed} bytes")
+    if stated <= MAX_PART_BYTES:
+        budget.spend(stated)
+    plain = memoryview(unpack(body[at + 8 : at + 8 + packed], compression, stated))
+    if crc and zlib.crc32(plain) != crc:
+        raise ValueError("its checksum is wrong")
+    return plain, crc != 0
+
+
+class KnownChannels:
+    """The channels of a file, by number: as it describes them on its way, else in its summary.
+
+    Args:
+        file: open for reading; its position is left as it was.
+        size: of the file [bytes].
+        budget: for channels, and records of the summary.
+    """
+
+    def __init__(self, file: BinaryIO, size: int, budget: Budget) -> None:
+        self._file, self._size, self._budget = file, size, budget
+        self._schemas: dict[int, mcap_records.Schema] = {}
+        self._channels: dict[int, RawChannel] = {}
+        self._summary: dict[int, RawChannel] | None = None
+        self.get = self._channels.get
+
+    def told(self, opcode: int, body: memoryview) -> tuple[int, RawChannel] | None:
+        """Take in a schema or channel; gives number and channel where that was not known.
+
+        Raises:
+            MCAP_DAMAGED: it makes no sense.
+            OverBudgetError: it is one too many.
+        """
+        stream = part_stream(body, self._budget)
+        if opcode == Opcode.SCHEMA:
+            schema = mcap_records.Schema.read(stream)
+            if schema.id not in self._schemas:
+                self._budget.spend_definition(len(schema.data))
+                self._schemas[schema.id] = schema
+            return None
+        channel = mcap_records.Channel.read(stream)
+        if channel.id in self._channels:
+            return None
+        self._budget.spend_channel()
+        found = self._channels[channel.id] = _with_schema(channel, self._schemas)
+        return channel.id, found
+
+    def forget(self, number: int) -> None:
+        """Take a channel for unknown: what described it is damaged."""
+        del self._channels[number]
+
+    def of_summary(self, number: int) -> RawChannel | None:
+        """A channel that nothing described yet; None where the summary does not know it either.
+
+        Raises:
+            OverBudgetError: the summary has more records than a log of that size.
+        """
+        if self._summary is None:
+            here = self._file.tell()
+            self._summary = channels_of_summary(self._file, self._size, self._budget)
+            self._file.seek(here)
+        found = self._summary.get(number)
+        if found is not None:
+            self._channels[number] = found
+        return found
+
+
+def _with_schema(
+    channel: mcap_records.Channel, schemas: Mapping[int, mcap_records.Schema]
+) -> RawChannel:
+    schema = schemas.get(channel.schema_id)
+    return RawChannel(
+        topic=channel.topic,
+        type_name=schema.name if schema else "",
+        encoding=channel.message_encoding,
+        schema_encoding=schema.encoding if schema else "",
+        schema=schema.data if schema else b"",
+        metadata=channel.metadata,
+    )

@@ -1,0 +1,83 @@
+"""Opens files that others made, for reading: regular ones alone, so that no opening ever waits."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from io import BufferedReader
+from pathlib import Path
+from typing import TextIO
+
+from tunenet_logs.errors import LogError
+
+_FLAGS = os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
+"""Of the opening: a pipe or a terminal that took the file's name meanwhile holds nobody up."""
+
+
+def open_regular(path: Path | str) -> BufferedReader:
+    """Open a regular file, or a link to one, for reading bytes.
+
+    A file that states a size of 0 is read as empty: those under /proc state it too, and reading
+    one may wait for ever.
+
+    Raises:
+        LogError: it is a pipe, a socket or a device.
+        OSError: it is a folder, a circle of links, or cannot be opened.
+    """
+    return open(path, "rb", opener=_opened)
+
+
+def open_regular_text(
+    path: Path | str, encoding: str, *, errors: str = "strict", newline: str | None = None
+) -> TextIO:
+    """The same for reading text, with `open`'s words.
+
+    Raises:
+        LogError, OSError: as `open_regular`.
+    """
+    return open(path, encoding=encoding, errors=errors, newline=newline, opener=_opened)
+
+
+def check_regular(path: Path | str) -> None:
+    """Refuse what is no regular file, before a library that takes a path alone opens it.
+
+    Raises:
+        LogError, OSError: as `open_regular`.
+    """
+    open_regular(path).close()
+
+
+def real_path(path: Path | str) -> Path:
+    """A path without links and dots, to tell whether two are one; it need not exist.
+
+    Unlike `Path.resolve`, it takes a circle of links, and a name that no file can have, as it is.
+    """
+    try:
+        return Path(os.path.realpath(path))
+    except ValueError:  # a zero byte
+        return Path(path)
+
+
+def _opened(path: str, _flags: int) -> int:
+    """A descriptor; its own state is asked, so that nobody can exchange the file in between."""
+    _check(path, Path(path).stat().st_mode)  # before it is opened: that alone starts some devices
+    descriptor = os.open(path, _FLAGS)
+    try:
+        state = os.fstat(descriptor)
+        _check(path, state.st_mode)
+        os.set_blocking(descriptor, True)
+    except BaseException:
+        os.close(descriptor)
+        raise
+    if state.st_size:
+        return descriptor
+    os.close(descriptor)
+    return os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)
+
+
+def _check(path: str, mode: int) -> None:
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), path)
+    if not stat.S_ISREG(mode):
+        raise LogError(f"{path}: is no regular file; copy it to one first")

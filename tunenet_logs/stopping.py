@@ -1,0 +1,123 @@
+"""How SIGINT, SIGTERM and SIGHUP stop a command at work: as an exception that unwinds it."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+from tunenet_logs.starting import WORDS, end_at_once
+
+_AGAIN_S = 0.02
+"""Until a signal that came at a bad moment is tried again."""
+
+
+class Stopped(KeyboardInterrupt):
+    """A signal: it unwinds as Ctrl-C does, so that nothing half written is left.
+
+    Attributes:
+        number: of the signal.
+    """
+
+    def __init__(self, number: int) -> None:
+        super().__init__()
+        self.number = number
+
+
+class _Stops:
+    """What is known of signals in this process: they reach its main thread, one at a time."""
+
+    def __init__(self) -> None:
+        self.held = 0
+        self.first = 0
+
+    def stop(self, number: int, frame: FrameType | None) -> None:
+        """The handler."""
+        if self.first and number != signal.SIGINT:
+            return  # a second one must not break off what the first one cleans up
+        if self.held or _is_importing(frame):
+            self.try_again(number)
+            return
+        self.first = number
+        threading.excepthook = lambda _: None  # a pool's, whose workers are gone
+        _end_workers()
+        raise Stopped(number)
+
+    def try_again(self, number: int) -> None:
+        """Come back in a moment; a thread to wait in could need a lock that is just held."""
+        signal.signal(signal.SIGALRM, lambda _, frame: self.stop(number, frame))
+        signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
+
+
+_stops = _Stops()
+
+
+@contextmanager
+def stoppable() -> Iterator[None]:
+    """Let signals raise `Stopped` where they would kill; a handler that someone else set stays."""
+    usual = (signal.SIG_DFL, signal.default_int_handler, end_at_once)
+    before = {number: signal.getsignal(number) for number in WORDS}
+    ours = [number for number, handler in before.items() if handler in usual]
+    if threading.current_thread() is not threading.main_thread() or not ours:
+        yield
+        return
+    hooks, alarm = (threading.excepthook, sys.unraisablehook), signal.getsignal(signal.SIGALRM)
+
+    def unraisable(told: sys.UnraisableHookArgs) -> None:
+        # Raised in a destructor or in a callback from C, it would end there, printed.
+        if isinstance(told.exc_value, Stopped):
+            _stops.first = 0
+            _stops.try_again(told.exc_value.number)
+        else:
+            hooks[1](told)
+
+    _stops.first = 0
+    sys.unraisablehook = unraisable
+    for number in ours:
+        signal.signal(number, _stops.stop)
+    try:
+        yield
+    finally:
+        for number in ours:
+            signal.signal(number, before[number])
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, alarm)
+        threading.excepthook, sys.unraisablehook = hooks
+
+
+@contextmanager
+def signals_held() -> Iterator[None]:
+    """Signals wait until what is started here has started.
+
+    A process that was half started when its parent let go of it would say so in many lines. What
+    starts here never sees Ctrl-C or the end of its terminal: this process does, and ends it.
+    """
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
+    _stops.held += 1
+    try:
+        yield
+    finally:
+        _stops.held -= 1
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+
+
+def _is_importing(frame: FrameType | None) -> bool:
+    """Whether a module is being imported: C code there prints exceptions, or takes them for others.
+
+    Nothing is half written by an import, and none takes long.
+    """
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            return True
+        frame = frame.f_back
+    return False
+
+
+def _end_workers() -> None:
+    """Their pool would else do all the work that waits before it lets go of this process."""
+    pool = sys.modules.get("multiprocessing")
+    for worker in pool.active_children() if pool else ():
+        worker.terminate()
