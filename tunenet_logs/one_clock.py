@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
-from tunenet_logs.clock_jumps import filmed_part, sound_part
+from tunenet_logs.clock_jumps import SoundPart, filmed_part, sound_part
 from tunenet_logs.episode import Episode, Signal
 
 
@@ -13,15 +14,17 @@ def on_one_clock(episode: Episode) -> Episode:
 
     Pictures are cut by whoever looks at them: they are not in memory.
     """
-    signals: dict[str, Signal] = {}
-    for name, signal in episode.signals.items():
-        part = sound_part(signal.stamps_ns)
-        if part.words:
-            stamps_ns, values = signal.stamps_ns[part.keep], signal.values[part.keep]
-            signal = replace(signal, stamps_ns=stamps_ns, values=values)  # noqa: PLW2901
-        signals[name] = signal
-    warnings = tuple(dict.fromkeys((*episode.warnings, *jump_warnings(episode))))
+    parts = {name: sound_part(signal.stamps_ns) for name, signal in episode.signals.items()}
+    signals = {
+        name: _kept(signal, parts[name]) if parts[name].words else signal
+        for name, signal in episode.signals.items()
+    }
+    warnings = tuple(dict.fromkeys((*episode.warnings, *_said(parts))))
     return replace(episode, signals=signals, warnings=warnings)
+
+
+def _kept(signal: Signal, part: SoundPart) -> Signal:
+    return replace(signal, stamps_ns=signal.stamps_ns[part.keep], values=signal.values[part.keep])
 
 
 def jump_warnings(episode: Episode, *, by_channel: bool = False) -> list[str]:
@@ -31,12 +34,17 @@ def jump_warnings(episode: Episode, *, by_channel: bool = False) -> list[str]:
         episode: as it was read.
         by_channel: whether its channels' stamps are those of its pictures, as in a video file.
     """
-    found: dict[str, str] = {}
-    for name, signal in episode.signals.items():
-        for words in sound_part(signal.stamps_ns).words:
-            found.setdefault(words, name)
+    parts = {name: sound_part(signal.stamps_ns) for name, signal in episode.signals.items()}
     for channel in episode.channels if by_channel else ():
         if channel.pictures and channel.skipped is None:
-            for words in filmed_part(channel.log_ns).words:
-                found.setdefault(words, channel.topic)
+            parts.setdefault(channel.topic, filmed_part(channel.log_ns))
+    return _said(parts)
+
+
+def _said(parts: Mapping[str, SoundPart]) -> list[str]:
+    """What is wrong with the clocks, by the first name of those that share it."""
+    found: dict[str, str] = {}
+    for name, part in parts.items():
+        for words in part.words:
+            found.setdefault(words, name)
     return [f"{name}: {words}" for words, name in found.items()]

@@ -31,6 +31,9 @@ try:
 except KeyboardInterrupt:
     raise ImportError("as C code takes it")
 """
+AS_IT = "import sys; from tunenet_logs.starting import start; sys.exit(start('it', 'command'))"
+"""Runs `main` of command.py as the command "it"."""
+
 WORDS: dict[int, str] = {
     signal.SIGINT: "interrupted",
     signal.SIGTERM: "terminated",
@@ -76,8 +79,7 @@ def test_a_signal_amid_a_library_s_import_is_no_error_of_the_library(tmp_path: P
         "def body(_):\n    import slow_library, time\n    time.sleep(60)\n    return 0\n"
         "def main():\n    return run(Parser('it', '', ''), body, [])\n"
     )
-    code = "import sys; from tunenet_logs.starting import start; sys.exit(start('it', 'command'))"
-    process = start(tmp_path, code)
+    process = start(tmp_path, AS_IT)
     wait_for(process, "importing")
     process.send_signal(number)
     _, err = process.communicate(timeout=60)
@@ -94,8 +96,7 @@ def test_a_signal_that_a_destructor_would_swallow_still_ends_the_command(tmp_pat
         "def body(_):\n    Slow()\n    time.sleep(60)\n    return 0\n"
         "def main():\n    return run(Parser('it', '', ''), body, [])\n"
     )
-    code = "import sys; from tunenet_logs.starting import start; sys.exit(start('it', 'command'))"
-    process = start(tmp_path, code)
+    process = start(tmp_path, AS_IT)
     _, err = process.communicate(timeout=40)
     assert (process.returncode, err) == (143, "it: terminated\n")
 
@@ -138,9 +139,8 @@ def test_what_libraries_print_past_python_is_not_heard(tmp_path: Path):
         "    np.float64(1e308) * np.float64(10)\n"
         "    print('it: ours', file=sys.stderr)\n    return 0\n"
     )
-    code = "import sys; from tunenet_logs.starting import start; sys.exit(start('it', 'command'))"
-    process = start(tmp_path, code)
+    process = start(tmp_path, AS_IT)
     _, err = process.communicate(timeout=60)
     assert (process.returncode, err) == (0, "it: ours\n")
-    process = start(tmp_path, "import sys; sys.argv.append('--debug'); " + code)
+    process = start(tmp_path, "import sys; sys.argv.append('--debug'); " + AS_IT)
     assert "libpng" in process.communicate(timeout=60)[1]

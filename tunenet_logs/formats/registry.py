@@ -105,8 +105,6 @@ def open_log(path: Path, options: ReadOptions = AS_IT_SAYS) -> Container | Episo
             return read_picture_folder(path, options) if is_pictures else read_folder
         if not path.exists():
             raise LogError(f"{path}: no such file")
-        if not path.is_file():
-            raise LogError(f"{path}: is no regular file; record it to one first")
         with open_regular(path) as file:
             start = file.read(_START_BYTES)
     except OSError as error:
