@@ -38,8 +38,9 @@ _EXAMPLES = """\
   tunenet-record --camera 2 --size 1280x720 --rate 60 --exposure 4 --seconds 8
   tunenet-record --camera drop.mp4 --ball-diameter 0.04 --drop-height 1
   tunenet-record --camera slow.mp4 --fps 240           (slow motion without a tag)
-  tunenet-record --camera http://192.168.1.20:8080/video -o drop.mcap
+  tunenet-record --camera 192.168.1.20:8080/video --wait 60 -o drop.mcap     (a phone)
   tunenet-record --camera rtsp://user:password@192.168.1.21/stream1
+  gst-launch-1.0 -q ... ! matroskamux streamable=true ! fdsink | tunenet-record --camera -
   tunenet-record --simulate drop --restitution 0.75 --height 1.2 -o drop.mcap
   tunenet-record --simulate drop --seed 7              (draws restitution and height)
   tunenet-record --simulate drop --rate 240 --noise 0.001 --hold 0.5 -o mocap.mcap
@@ -83,8 +84,8 @@ def build_parser() -> Parser:
         nargs="?",
         const="0",
         metavar="SOURCE",
-        help="a camera's number or /dev/... path (default: 0), an http:// (MJPEG) or rtsp:// "
-        "address, or a video file",
+        help="a camera's number or /dev/... path (default: 0); an http, https, rtsp, rtsps, tcp or "
+        "udp address; a video file; or - for what another program writes",
     )
     source.add_argument(
         "--simulate", choices=["drop", "payload", "bounce-shot"], help="what to simulate"

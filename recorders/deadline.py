@@ -21,7 +21,7 @@ class Deadline:
         self.silence_s = silence_s
         self._sockets: list[socket.socket] = []
         self._lock = threading.Lock()
-        self._is_broken_off = False
+        self._broken_off = threading.Event()
         self.renew(whole_s)
 
     def renew(self, whole_s: float) -> None:
@@ -44,17 +44,26 @@ class Deadline:
             raise TimeoutError("too late")
         return max(1e-3, min(self.silence_s, self._end - time.monotonic()))
 
+    def pause(self, seconds: float) -> bool:
+        """Wait so long; False where it was broken off.
+
+        Raises:
+            TimeoutError: it is too late.
+        """
+        return not self._broken_off.wait(min(seconds, self.next_s()))
+
     def watch(self, connected: socket.socket) -> None:
-        """Let `break_off` end what waits for this socket."""
+        """Let `break_off` end what waits for this socket, until it is closed."""
         with self._lock:
+            self._sockets = [one for one in self._sockets if one.fileno() >= 0]
             self._sockets.append(connected)
-            if self._is_broken_off:
+            if self._broken_off.is_set():
                 _shut(connected)
 
     def break_off(self) -> None:
         """End running reads, from any thread."""
         with self._lock:
-            self._is_broken_off = True
+            self._broken_off.set()
             for connected in self._sockets:
                 _shut(connected)
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from types import FrameType
 
 from tunenet_logs.episode import Episode
+from tunenet_logs.gaps import Gap
 from tunenet_logs.importing import JOINT_PARTS, joint_topics
 from tunenet_logs.messages import CAMERA_TOPIC
 from tunenet_logs.terminal import Progress
@@ -26,6 +27,9 @@ class Summary:
         ended: why it ended before its source did; "" if it did not.
         damaged: what came and was no whole picture; not captured.
         rate_hz: measured, where the source is a camera.
+        gaps: in which that was away.
+        lag_s: the longest between a picture's time and its writing, where that is worth a word.
+        stamps: whose time they are, where that had to be found.
     """
 
     captured: int
@@ -34,6 +38,9 @@ class Summary:
     ended: str = ""
     damaged: int = 0
     rate_hz: float = 0.0
+    gaps: tuple[Gap, ...] = ()
+    lag_s: float = 0.0
+    stamps: str = ""
 
     def in_words(self, unit: str) -> str:
         """For the last line that a recorder prints."""
@@ -42,6 +49,14 @@ class Summary:
             words += f", {self.damaged} damaged"
         if self.rate_hz:
             words += f", {self.rate_hz:.1f} Hz"
+        if self.gaps:
+            all_s = sum(gap.seconds for gap in self.gaps)
+            words += ", 1 gap of" if len(self.gaps) == 1 else f", {len(self.gaps)} gaps of together"
+            words += f" {all_s:.1f} s"
+        if self.stamps:
+            words += f", {self.stamps}"
+        if self.lag_s:
+            words += f", up to {self.lag_s:.1f} s late"
         return words + (f" ({self.ended})" if self.ended else "")
 
 

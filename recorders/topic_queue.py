@@ -26,9 +26,10 @@ class Item(NamedTuple, Generic[Payload]):
     Attributes:
         topic: where it belongs.
         stamp_ns: of its acquisition.
-        received_ns: when it was put in, on the clock of `tunenet_logs.clock`.
+        received_ns: when it came, on the clock of `tunenet_logs.clock`; never less than before.
         payload: what it is.
         size_bytes: of that.
+        follows_drop: whether the one before it on its topic was dropped.
     """
 
     topic: str
@@ -36,6 +37,7 @@ class Item(NamedTuple, Generic[Payload]):
     received_ns: int
     payload: Payload
     size_bytes: int
+    follows_drop: bool = False
 
 
 @dataclass
@@ -80,24 +82,53 @@ class TopicQueue(Generic[Payload]):
         self._items: deque[Item[Payload]] = deque()
         self._held_bytes = 0
         self._closed = False
+        self._last_ns = 0
+        self._broken: set[str] = set()
         self._changed = threading.Condition()
 
-    def put(self, topic: str, stamp_ns: int, payload: Payload, size_bytes: int) -> bool:
-        """Add a message; False once the queue is closed: it was not counted then."""
+    def put(
+        self,
+        topic: str,
+        stamp_ns: int,
+        payload: Payload,
+        size_bytes: int,
+        received_ns: int | None = None,
+        *,
+        stands_alone: bool = True,
+    ) -> bool:
+        """Add a message; False once the queue is closed: it was not counted then.
+
+        Args:
+            topic: where it belongs.
+            stamp_ns: of its acquisition.
+            payload: what it is.
+            size_bytes: of that.
+            received_ns: when it came; now if None.
+            stands_alone: whether it is worth anything where the one before it was dropped; else it
+                is dropped too.
+        """
         with self._changed:
             while not self._drops and self._is_full(size_bytes) and not self._closed:
                 self._changed.wait()
             if self._closed:
                 return False
-            is_full = self._is_full(size_bytes)
+            follows_drop = topic in self._broken
+            is_full = self._is_full(size_bytes) or (follows_drop and not stands_alone)
             if self._counts:
                 tally = self._tallies.get(topic)
                 if tally is None:
                     tally = self._tallies[topic] = Tally()
                 tally.add(stamp_ns, is_dropped=is_full)
-            if not is_full:
+            if is_full:
+                self._broken.add(topic)
+            else:
+                self._broken.discard(topic)
                 # Stamped under the lock, so that receipts never run backwards in the log.
-                self._items.append(Item(topic, stamp_ns, now_ns(), payload, size_bytes))
+                came_ns = now_ns() if received_ns is None else received_ns
+                self._last_ns = max(self._last_ns, came_ns)
+                self._items.append(
+                    Item(topic, stamp_ns, self._last_ns, payload, size_bytes, follows_drop)
+                )
                 self._held_bytes += size_bytes
             return True
 
@@ -131,6 +162,21 @@ class TopicQueue(Generic[Payload]):
     def close(self) -> None:
         """Take no more messages; those inside can still be taken."""
         with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+
+    def cut(self, topic: str, taken: int) -> None:
+        """Take no more messages; those inside count as if they had never come.
+
+        Args:
+            topic: the only one in use.
+            taken: messages that were taken and do not count either.
+        """
+        with self._changed:
+            if topic in self._tallies:
+                self._tallies[topic].captured -= len(self._items) + taken
+            self._items.clear()
+            self._held_bytes = 0
             self._closed = True
             self._changed.notify_all()
 

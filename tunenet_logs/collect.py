@@ -5,14 +5,16 @@ from __future__ import annotations
 from array import array
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from heapq import heappop, heappush
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tunenet_logs.clock_jumps import filmed_part
 from tunenet_logs.episode import Signal
 from tunenet_logs.formats.base import BeyondLimitError
 from tunenet_logs.formats.message_types import JointSample, PictureSample, PositionSample
-from tunenet_logs.timestamp_correction import (
+from tunenet_logs.sample_order import (
     jumps_alone,
     order_samples,
     sorted_stamps,
@@ -27,6 +29,9 @@ _NAMES = tuple(f"joint{number}" for number in range(1, _MOST_NAMES + 2))
 
 _NOTHING = array("d", [float("nan")] * _MOST_NAMES).tobytes()
 """A quantity that a message does not give, as the bytes of its values."""
+
+_MOST_REORDERED = 16
+"""Pictures that a video's decoder holds until they are shown, by H.264 and H.265."""
 
 
 @dataclass
@@ -175,9 +180,15 @@ class JointRows:
 
 @dataclass(eq=False)
 class PictureStamps:
-    """When the pictures of one topic were taken; they themselves are read when asked for."""
+    """When the pictures of one topic were taken; they themselves are read when asked for.
+
+    Attributes:
+        topic: the topic.
+        is_video: whether a picture may be shown before one that was written first.
+    """
 
     topic: str
+    is_video: bool = False
     _header_ns: array[int] = field(default_factory=lambda: array("q"), init=False)
     _log_ns: array[int] = field(default_factory=lambda: array("q"), init=False)
 
@@ -193,9 +204,26 @@ class PictureStamps:
     def trusts_header(self) -> tuple[bool, list[str]]:
         """Whether the pictures' own stamps tell the time, and why not, or where they jump."""
         header_ns, log_ns = (np.array(own, np.int64) for own in (self._header_ns, self._log_ns))
+        if self.is_video:
+            header_ns = _as_shown(header_ns)
         is_header, reasons = trusts_header(header_ns)
         if is_header and (reason := jumps_alone(header_ns, log_ns)):
             is_header, reasons = False, [reason]
         used_ns = np.where(header_ns == 0, log_ns, header_ns) if is_header else log_ns
         reasons += filmed_part(used_ns).words
         return is_header, [f"{self.topic}: {reason}" for reason in reasons]
+
+
+def _as_shown(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Stamps of a video's pictures as a decoder gives them out; those that jump stay jumps.
+
+    Args:
+        stamps_ns: in the order in which they were written, shape (T,) [ns].
+    """
+    waiting: list[int] = []
+    shown: list[int] = []
+    for stamp_ns in stamps_ns.tolist():
+        heappush(waiting, stamp_ns)
+        if len(waiting) > _MOST_REORDERED:
+            shown.append(heappop(waiting))
+    return np.array(shown + sorted(waiting), np.int64)

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from tunenet_logs.episode import Channel, Episode, EpisodeInfo
 from tunenet_logs.formats.registry import file_bytes
+from tunenet_logs.gaps import gaps_in_words, noted_gaps
+from tunenet_logs.measured_rate import measured_hz
 from tunenet_logs.terminal import one_line, short_name
 
 _MOST_ROWS = 100
@@ -22,9 +24,6 @@ _COLUMNS = 60
 _GAP_PERIODS = 3.0
 """Usual intervals: a gap is longer, which jitter and one missing sample do not make it."""
 
-_FASTEST_HZ = 1e5
-"""Messages that came faster came in one piece: their times tell no rate."""
-
 _EARLIEST_DATE_NS = 1_000_000_000 * 10**9
 """Stamps before September 2001 are times of a simulator or video, not dates."""
 
@@ -33,6 +32,8 @@ def describe(path: Path, episode: Episode) -> str:
     """The log, one fact a line: its info, its damage, its channels and when they were heard."""
     lines = [f"{path}: {file_bytes(path)} bytes{_span(episode.channels)}"]
     lines += [f"  {line}" for line in _episode_lines(episode.info)]
+    if gaps := noted_gaps(episode.info.notes):
+        lines.append(f"  away: {gaps_in_words(gaps, _start_ns(episode.channels))}")
     lines += [f"  warning: {warning}" for warning in episode.warnings[:_MOST_ROWS]]
     lines += _more(len(episode.warnings), "warnings")
     shown = _shown(episode.channels)
@@ -69,15 +70,19 @@ def gaps_s(stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
 
 
 def _span(channels: Sequence[Channel]) -> str:
-    stamps_ns = [channel.log_ns for channel in channels if channel.messages]
-    if not stamps_ns:
+    ends_ns = [int(channel.log_ns.max()) for channel in channels if channel.messages]
+    if not ends_ns:
         return ""
-    start_ns = min(int(of_channel.min()) for of_channel in stamps_ns)
-    end_ns = max(int(of_channel.max()) for of_channel in stamps_ns)
+    start_ns, end_ns = _start_ns(channels), max(ends_ns)
     text = f", {(end_ns - start_ns) * 1e-9:.2f} s"
     if start_ns >= _EARLIEST_DATE_NS:
         text += f" from {datetime.fromtimestamp(start_ns // 10**9, UTC):%Y-%m-%d %H:%M:%S} UTC"
     return text
+
+
+def _start_ns(channels: Sequence[Channel]) -> int:
+    """When the first message was heard [ns]; 0 where there is none."""
+    return min((int(one.log_ns.min()) for one in channels if one.messages), default=0)
 
 
 def _episode_lines(info: EpisodeInfo) -> list[str]:
@@ -92,15 +97,13 @@ def _episode_lines(info: EpisodeInfo) -> list[str]:
 
 def _channel_row(channel: Channel) -> tuple[str, ...]:
     duration_s = float(np.ptp(channel.log_ns)) * 1e-9 if channel.messages else 0.0
-    periods = channel.messages - 1
-    has_rate = duration_s * _FASTEST_HZ >= periods > 0
-    rate = f"{periods / duration_s:.1f} Hz" if has_rate else "-"
+    rate_hz = measured_hz(channel.log_ns)
     gaps = gaps_s(channel.log_ns)
     return (
         short_name(channel.topic),
         short_name(channel.type_name) or "-",
         str(channel.messages),
-        rate,
+        f"{rate_hz:.1f} Hz" if rate_hz else "-",
         f"{duration_s:.2f} s",
         f"{len(gaps)} to {gaps.max():.2f} s" if len(gaps) else "-",
         "yes" if channel.skipped is None else f"no: {channel.skipped}",

@@ -21,6 +21,10 @@ class CameraError(TuneNetError):
     """A camera or video that cannot be recorded."""
 
 
+class CameraAwayError(CameraError):
+    """A network camera that is not there, or not yet: asked again, it may be."""
+
+
 class TopicError(TuneNetError):
     """A live topic that cannot be recorded."""
 

@@ -28,7 +28,7 @@ from tunenet_logs.formats.structure import (
     node_at,
     numbers_in,
 )
-from tunenet_logs.timestamp_correction import order_samples, sorted_stamps
+from tunenet_logs.sample_order import order_samples, sorted_stamps
 
 IMPACTS = "impacts"
 """The signal of times of impacts."""

@@ -25,6 +25,7 @@ IMAGE = "sensor_msgs/msg/Image"
 JOINT_STATE = "sensor_msgs/msg/JointState"
 JOINT_ANGLES = "kinova_msgs/msg/JointAngles"
 TASK_OUTCOME = "tunenet_msgs/msg/TaskOutcome"
+COMPRESSED_VIDEO = "foxglove_msgs/msg/CompressedVideo"
 
 SEVEN_JOINTS = "\n".join(f"float32 joint{number}" for number in range(1, 8))
 """How Kinova defines JointAngles, JointTorque and JointVelocity."""
@@ -45,8 +46,22 @@ string note
 """
 """How we define TaskOutcome: what the hardware did in one attempt; [m], NaN where not known."""
 
+VIDEO_FIELDS = """\
+builtin_interfaces/Time timestamp
+string frame_id
+uint8[] data
+string format
+"""
+"""How Foxglove defines CompressedVideo: one picture of a video as it was compressed."""
+
+VIDEO_FORMATS = frozenset({"h264", "h265", "vp9", "av1"})
+"""Encodings of frames that are made from those before them; they go into CompressedVideo."""
+
 CAMERA_TOPIC = "/camera/image_raw/compressed"
 """Where a camera's frames go in our own logs."""
+
+VIDEO_TOPIC = "/camera/video"
+"""Where they go that the camera compressed as video."""
 
 OUTCOME_TOPIC = "/task/outcome"
 """Where what the hardware did goes."""
@@ -61,6 +76,7 @@ def typestore() -> Typestore:
     store = get_typestore(Stores.ROS2_HUMBLE)
     store.register(get_types_from_msg(SEVEN_JOINTS, JOINT_ANGLES))
     store.register(get_types_from_msg(OUTCOME_FIELDS, TASK_OUTCOME))
+    store.register(get_types_from_msg(VIDEO_FIELDS, COMPRESSED_VIDEO))
     return store
 
 
@@ -82,9 +98,12 @@ def _type(name: str) -> Any:
 
 def header(stamp_ns: int, frame_id: str) -> Any:
     """A std_msgs/Header. `stamp_ns` may lie before the epoch."""
+    return _type(HEADER)(stamp=_time(stamp_ns), frame_id=frame_id)
+
+
+def _time(stamp_ns: int) -> Any:
     seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
-    stamp = _type("builtin_interfaces/msg/Time")(sec=seconds, nanosec=nanoseconds)
-    return _type(HEADER)(stamp=stamp, frame_id=frame_id)
+    return _type("builtin_interfaces/msg/Time")(sec=seconds, nanosec=nanoseconds)
 
 
 def pose(stamp_ns: int, frame_id: str, position_m: NDArray[np.float64]) -> Any:
@@ -101,6 +120,16 @@ def compressed_image(stamp_ns: int, frame_id: str, encoding: str, data: bytes) -
     """A CompressedImage that holds `data` untouched."""
     pixels = np.frombuffer(data, np.uint8)
     return _type(COMPRESSED_IMAGE)(header=header(stamp_ns, frame_id), format=encoding, data=pixels)
+
+
+def compressed_video(stamp_ns: int, frame_id: str, encoding: str, data: bytes) -> Any:
+    """A CompressedVideo that holds one picture's `data` untouched."""
+    return _type(COMPRESSED_VIDEO)(
+        timestamp=_time(stamp_ns),
+        frame_id=frame_id,
+        data=np.frombuffer(data, np.uint8),
+        format=encoding,
+    )
 
 
 def image(
@@ -150,7 +179,10 @@ def joint_state(
 
 
 def frame(picture: Frame) -> tuple[str, bytes]:
-    """A picture as (type name, CDR): a CompressedImage, or an Image of bare pixels."""
+    """A picture as (type name, CDR): of a video, compressed by itself, or of bare pixels."""
+    if picture.encoding in VIDEO_FORMATS:
+        made = compressed_video(picture.stamp_ns, "camera", picture.encoding, picture.data)
+        return COMPRESSED_VIDEO, encode(made, COMPRESSED_VIDEO)
     if picture.size is None:
         made = compressed_image(picture.stamp_ns, "camera", picture.encoding, picture.data)
         return COMPRESSED_IMAGE, encode(made, COMPRESSED_IMAGE)

@@ -23,6 +23,7 @@ from tunenet_logs.formats.pictures import frames_of
 from tunenet_logs.formats.read_options import AS_IT_SAYS, ReadOptions
 from tunenet_logs.images import FREE_VIDEO_PIXELS, VIDEO_PIXELS_A_BYTE
 from tunenet_logs.import_notes import restored
+from tunenet_logs.late_stamps import BY_ARRIVALS, STAMPS_NOTE
 from tunenet_logs.messages import INFO_RECORD
 from tunenet_logs.one_clock import jump_warnings
 from tunenet_logs.topic_contents import ReadingPlan, TopicContents
@@ -121,7 +122,7 @@ def _episode(
         if isinstance(rows, PictureStamps):
             is_header, reasons = rows.trusts_header()
             doubts += reasons
-            if not is_header:
+            if not is_header or info.notes.get(STAMPS_NOTE, "").startswith(BY_ARRIVALS):
                 by_log.add(name)
         elif isinstance(rows, PositionRows | JointRows):
             is_joints = isinstance(rows, JointRows)

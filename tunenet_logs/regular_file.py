@@ -39,15 +39,6 @@ def open_regular_text(
     return open(path, encoding=encoding, errors=errors, newline=newline, opener=_opened)
 
 
-def check_regular(path: Path | str) -> None:
-    """Refuse what is no regular file, before a library that takes a path alone opens it.
-
-    Raises:
-        LogError, OSError: as `open_regular`.
-    """
-    open_regular(path).close()
-
-
 def real_path(path: Path | str) -> Path:
     """A path without links and dots, to tell whether two are one; it need not exist.
 

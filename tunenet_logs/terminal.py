@@ -66,9 +66,23 @@ class _NoBar:
 
 @dataclass(frozen=True, kw_only=True)
 class Progress:
-    """Makes bars on standard error, where that is a terminal; else stand-ins that show nothing."""
+    """Tells of work in progress on standard error.
+
+    Bars are shown where that is a terminal; else there are stand-ins that show nothing.
+    """
 
     quiet: bool = False
+
+    def say(self, text: str) -> None:
+        """A line on standard error, above a bar that is shown there."""
+        if self.quiet:
+            return
+        if not sys.stderr.isatty():
+            print(one_line(text), file=sys.stderr, flush=True)
+            return
+        from tqdm import tqdm
+
+        tqdm.write(one_line(text), file=sys.stderr)
 
     @contextmanager
     def bar(self, total: int | None, what: str, unit: str) -> Iterator[Bar]:

@@ -133,8 +133,10 @@ class TopicContents:
         assert kind is not None
         if isinstance(kind, PositionType):
             self.rows = PositionRows(channel.topic, *plan.length("m"))
+        elif isinstance(kind, JointType):
+            self.rows = JointRows(channel.topic)
         else:
-            self.rows = (JointRows if isinstance(kind, JointType) else PictureStamps)(channel.topic)
+            self.rows = PictureStamps(channel.topic, kind.is_video)
         self._read: Callable[[Any], Any] = kind.read
         if isinstance(kind, PictureType):
             self._read = checked_pictures(kind)

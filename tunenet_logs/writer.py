@@ -92,7 +92,7 @@ class EpisodeWriter:
         self.write_message(topic, messages.POSE, stamp_ns, data)
 
     def write_frame(self, topic: str, frame: Frame, received_ns: int | None = None) -> None:
-        """Write an image as it is: a CompressedImage, or an Image of bare pixels."""
+        """Write an image as it is: a CompressedImage, CompressedVideo, or Image of bare pixels."""
         type_name, data = messages.frame(frame)
         self.write_message(topic, type_name, frame.stamp_ns, data, received_ns)
 
@@ -172,6 +172,18 @@ class EpisodeWriter:
     def note(self, name: str, text: str) -> None:
         """Say something in the log's info that became known while recording."""
         self.info = replace(self.info, notes={**self.info.notes, name: text})
+
+    def note_at_once(self, name: str, text: str) -> None:
+        """The same, and write the info so far: a killed recorder's log says it, too.
+
+        Raises:
+            LogError: writing failed; the recording is over.
+        """
+        self.note(name, text)
+        try:
+            self._output.add_metadata(INFO_RECORD, self.info.to_strings())
+        except OSError as error:
+            self._break_off(error)
 
     def discard(self) -> None:
         """Leave no log: nothing came that is worth one. A log that it would replace stays."""

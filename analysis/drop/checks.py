@@ -31,7 +31,7 @@ _MOST_GAP = 4.0
 _SURE = 0.02
 """Half width of an interval that still tells one ball from another."""
 
-_LEAST_SEEN, _LEAST_SEEN_THROWN = 0.9, 0.2
+LEAST_SEEN, _LEAST_SEEN_THROWN = 0.9, 0.2
 """Fall times after the impact: less than that may miss the top of the first bounce, and of a ball
 that a hand catches, what is free."""
 
@@ -85,7 +85,7 @@ def recording_checks(
     gap = longest_s / float(np.median(periods))
     most_gap = max(_MOST_GAP, most_gap_falls * drop.fall_time_s / float(np.median(periods)))
     floor = _MOST_BELOW * height + _BELOW_SDS * drop.noise_m
-    least_seen = _LEAST_SEEN_THROWN if drop.launched else _LEAST_SEEN
+    least_seen = _LEAST_SEEN_THROWN if drop.launched else LEAST_SEEN
     flown, wanted = figures(seen, least_seen, 1)
     size, unit = _length(drop)
     under, most_under = figures(size * max(below, 0.0), size * floor, 1)

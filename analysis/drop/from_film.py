@@ -10,8 +10,10 @@ from analysis.drop.checks import motion_checks, recording_checks, sure_check
 from analysis.drop.cross_checks import flight_cross_check
 from analysis.drop.detection import FilmDetection
 from analysis.drop.film_checks import film_checks, hop_check, scale_checks, seconds_out_of_view
+from analysis.drop.film_parts import FilmPart, parted_film
 from analysis.drop.film_presets import PRESETS
 from analysis.drop.motion import simulation_fit, tuned_motion
+from analysis.drop.placed_pictures import placed_by_motion
 from analysis.drop.presets import PAPER_HEIGHT_M
 from analysis.drop.problem import drop_problem
 from analysis.drop.rebounds import reported_rebounds
@@ -60,11 +62,11 @@ class DropFromFilm:
         topics = episode.picture_topics if selection.topic is None else (selection.topic,)
         physical = PRESETS[preset].physical
         if len(topics) == 1:
-            return _detect_in(episode, topics[0], selection, physical=physical)
+            return _detect_whole(episode, topics[0], selection, physical=physical)
         reasons: list[str] = []
         for topic in topics:
             try:
-                detection = _detect_in(episode, topic, selection, physical=physical)
+                detection = _detect_whole(episode, topic, selection, physical=physical)
                 detection.film  # noqa: B018 (only its fit shows whether a camera saw the drop)
             except NotFoundError as reason:
                 reasons.append(f"{topic}: {reason}")
@@ -122,11 +124,32 @@ class DropFromFilm:
         return log_drop(stream, tuning)
 
 
-def _detect_in(
+def _detect_whole(
     episode: Episode, topic: str, selection: Selection, *, physical: bool
 ) -> FilmDetection:
-    """The ball in the pictures of one topic, with what is known of it."""
-    pictures = Pictures(episode, topic, selection.start_s, selection.end_s)
+    """The ball in the pictures of one topic, where there are gaps in one part between them."""
+    film = parted_film(episode, topic)
+    if film is None:
+        return _detect_in(episode, topic, selection, physical=physical)
+
+    def detect(part: FilmPart) -> FilmDetection:
+        found = _detect_in(episode, topic, selection, physical=physical, part=part)
+        return replace(found, track_warnings=(film.warning(part), *found.track_warnings))
+
+    return film.first_whole_drop(detect)
+
+
+def _detect_in(
+    episode: Episode,
+    topic: str,
+    selection: Selection,
+    *,
+    physical: bool,
+    part: FilmPart | None = None,
+) -> FilmDetection:
+    """The ball in the pictures of one topic, or in a part of them, with what is known of it."""
+    span_ns = (part.first_ns, part.last_ns) if part else None
+    pictures = Pictures(episode, topic, selection.start_s, selection.end_s, span_ns)
     track, warnings = _tracked(pictures, selection.hints, episode.info)
     recorded = recorded_ball(episode.info)
     if contradict(selection.ball, recorded):
@@ -146,7 +169,11 @@ def _detect_in(
         warnings.append(f"{', '.join(selection.arm_options)} not used: this is a drop")
     said = {f"{topic}: {words}" for words in pictures.jumps}
     warnings += sorted(said - set(episode.warnings))
-    warnings += pictures.arrivals.warnings("pictures")
+    ball, is_timed = completed(selection.ball, recorded), not episode.frames_untimed
+    track, arrivals = placed_by_motion(
+        track, pictures.arrivals, pictures.start_ns, ball if is_timed else None
+    )
+    warnings += arrivals.warnings("pictures")
     if pictures.other_size:
         warnings.append(f"{pictures.other_size} pictures of another size were left out")
     if pictures.damaged:
@@ -156,12 +183,12 @@ def _detect_in(
         topic=topic,
         start_ns=pictures.start_ns,
         track=track,
-        ball=completed(selection.ball, recorded),
+        ball=ball,
         height_m=episode.info.rig.get("drop_height_m"),
         unread=unread,
-        taken_ns=pictures.arrivals.taken_ns,
+        taken_ns=arrivals.taken_ns,
         track_warnings=tuple(warnings),
-        is_timed=not episode.frames_untimed,
+        is_timed=is_timed,
     )
 
 

@@ -31,8 +31,8 @@ from recorders.simulators.drop import TOPIC
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, Signal
 from tunenet_logs.errors import NotFoundError
+from tunenet_logs.late_stamps import correct_late_stamps
 from tunenet_logs.terminal import listed
-from tunenet_logs.timestamp_correction import correct_late_stamps
 
 if TYPE_CHECKING:
     import rerun as rr

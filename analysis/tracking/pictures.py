@@ -13,7 +13,7 @@ from tunenet_logs.arrays import Picture
 from tunenet_logs.clock_jumps import filmed_part
 from tunenet_logs.episode import Episode, Frame
 from tunenet_logs.errors import LogError, NotFoundError, UsageError
-from tunenet_logs.timestamp_correction import correct_late_stamps
+from tunenet_logs.late_stamps import ARRIVALS, STAMPS_NOTE, correct_late_stamps
 
 _MOST_SAMPLES = 64
 """Pictures for the background, in memory at once: enough that a ball, a hand or a person covers no
@@ -48,6 +48,7 @@ class Pictures:
         topic: which of its picture topics.
         start_s: leave out what comes before, in seconds since the first frame.
         end_s: leave out what comes after.
+        span_ns: stamps of the first picture and of the last one to look at; None for all.
 
     Raises:
         NotFoundError: there is none, or the part begins past the last one.
@@ -59,11 +60,13 @@ class Pictures:
         topic: str,
         start_s: float | None = None,
         end_s: float | None = None,
+        span_ns: tuple[int, int] | None = None,
     ) -> None:
         self._episode = episode
         self._topic = topic
         self._start_s = start_s
         self._end_s = end_s
+        self._span_ns = span_ns
         self._one_clock: Set[int] | None = None
         self._recorded_ns: list[int] = []
         reason: NotFoundError | None = None
@@ -123,7 +126,10 @@ class Pictures:
         if not stamps:
             why = f": {reason}" if reason else ""
             raise NotFoundError(f"holds no picture that can be decoded (in the part selected){why}")
-        self.arrivals = correct_late_stamps(np.array(stamps, np.int64))
+        self.arrivals = correct_late_stamps(
+            np.array(stamps, np.int64),
+            are_arrivals=self._episode.info.notes.get(STAMPS_NOTE, "").startswith(ARRIVALS),
+        )
         self.stamps_ns = self.arrivals.stamps_ns
 
     def __iter__(self) -> Iterator[Picture]:
@@ -203,6 +209,8 @@ class Pictures:
                 start_ns = self.start_ns = frame.stamp_ns
             since_s = (frame.stamp_ns - self.start_ns) * 1e-9
             self.length_s = max(self.length_s, since_s)
+            if self._span_ns and not self._span_ns[0] <= frame.stamp_ns <= self._span_ns[1]:
+                continue
             if self._start_s is not None and since_s < self._start_s:
                 continue
             if self._end_s is not None and since_s > self._end_s:

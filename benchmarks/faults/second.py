@@ -88,7 +88,7 @@ READERS = (
     ),
     Fault(
         "where the first header stamp is 0, none of them is believed",
-        "tunenet_logs/timestamp_correction.py",
+        "tunenet_logs/sample_order.py",
         "if np.count_nonzero(header_ns == 0) > 1:",
         "if np.count_nonzero(header_ns == 0) > 0:",
         ("tests/tunenet_logs/test_stamps.py", "tests/tunenet_logs/test_collect.py"),
@@ -99,20 +99,15 @@ WRITERS = (
     Fault(
         "a network camera's picture is stamped when its last byte came",
         "recorders/camera/multipart.py",
-        "            arrived_ns = self._arrived_ns\n"
-        "            yield Part(\n"
-        "                arrived_ns, self._until_delimiter() if length is None "
-        "else self._take(length)\n"
-        "            )\n",
-        "            data = self._until_delimiter() if length is None else self._take(length)\n"
-        "            yield Part(self._arrived_ns, data)\n",
+        "yield Part(arrived_ns, data, _told_ns(headers))",
+        "yield Part(self._arrived_ns, data, _told_ns(headers))",
         ("tests/recorders/test_mjpeg_stream.py",),
     ),
     Fault(
         "two pictures that came at once are recorded with one stamp",
-        "recorders/camera/capture.py",
-        "if last_ns is not None and stamp_ns <= last_ns:  # both in one read",
-        "if last_ns is not None and stamp_ns < last_ns:  # both in one read",
+        "recorders/camera/camera_time.py",
+        "max(stamp_ns, self._last_arrival_ns + 1)",
+        "max(stamp_ns, self._last_arrival_ns)",
         (
             "tests/recorders/test_mjpeg_stream.py",
             "tests/recorders/test_device.py",

@@ -19,10 +19,10 @@ FITS = (
     ),
     Fault(
         "the last sample of a burst stays as late as it came",
-        "tunenet_logs/timestamp_correction.py",
+        "tunenet_logs/late_stamps.py",
         "            return at + 1\n",
         "            return at\n",
-        ("tests/tunenet_logs/test_timestamp_correction.py",),
+        ("tests/tunenet_logs/test_late_stamps.py",),
     ),
     Fault(
         "beside a tare, the second opinion forgets that a driver's torques have another sign",
@@ -85,10 +85,10 @@ READERS = (
     ),
     Fault(
         "the rate of a channel counts an interval more than there are",
-        "tunenet_logs/describe.py",
-        "{periods / duration_s:.1f}",
-        "{channel.messages / duration_s:.1f}",
-        ("tests/tunenet_logs/test_cli.py",),
+        "tunenet_logs/measured_rate.py",
+        "count = len(seconds) - 1",
+        "count = len(seconds)",
+        ("tests/tunenet_logs/test_cli.py", "tests/tunenet_logs/test_measured_rate.py"),
     ),
 )
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from recorders.camera.base import Shot
 from recorders.camera.settings import Settings, apply, in_words
 from tunenet_logs.clock import wall_ns
 from tunenet_logs.episode import Frame
@@ -33,6 +34,8 @@ class CameraDevice:
     """
 
     live = True
+    returns = False
+    dropped = 0
 
     def __init__(self, path: Path, settings: Settings) -> None:
         if not path.exists():
@@ -68,7 +71,7 @@ class CameraDevice:
             notes["stamps"] = "driver" if self._has_driver_stamps else "arrival"
         return notes
 
-    def frames(self) -> Iterator[Frame]:
+    def frames(self) -> Iterator[Shot]:
         """The frames as they come, until the camera is unplugged."""
         import cv2
 
@@ -90,7 +93,8 @@ class CameraDevice:
                 if data is None:
                     self.damaged += 1
                 else:
-                    yield Frame(wall_ns(driver_ns if plausible else monotonic_ns), "jpeg", data)
+                    stamp_ns = wall_ns(driver_ns if plausible else monotonic_ns)
+                    yield Shot(Frame(stamp_ns, "jpeg", data))
         finally:
             self._capture.release()
 

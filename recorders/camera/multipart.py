@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -17,6 +18,18 @@ _MAX_HEADER_BYTES = 16 * 1024
 _READ_BYTES = 256 * 1024
 """The most that one read takes: a few pictures."""
 
+_TIMES = (
+    b"x-ustreamer-grab-begin-time",
+    b"x-ustreamer-grab-time",
+    b"x-ustreamer-grab-timestamp",
+    b"x-timestamp",
+    b"timestamp",
+)
+"""Headers in which servers tell a picture's time [s], that of its taking before that of sending."""
+
+_SECONDS = re.compile(rb"(\d{1,11})\.(\d{1,9})\d*")
+"""A time that tells more than whole seconds, which are no help."""
+
 
 @dataclass(frozen=True)
 class Part:
@@ -24,10 +37,12 @@ class Part:
 
     Attributes:
         arrived_ns: monotonic time at which its first byte was here.
+        told_ns: the time that its headers tell, of whatever clock; None where they tell none.
     """
 
     arrived_ns: int
     data: bytes
+    told_ns: int | None = None
 
 
 class MultipartParser:
@@ -41,6 +56,9 @@ class MultipartParser:
         read: up to so many bytes, as soon as there are any; b"" at the end.
         boundary: as announced, or "".
         clock_ns: monotonic time.
+
+    Attributes:
+        is_closed: whether its sender said that this was the last part.
     """
 
     def __init__(
@@ -52,6 +70,7 @@ class MultipartParser:
         self._buffer = bytearray()
         self._arrived_ns = 0
         self._at_end = False
+        self.is_closed = False
 
     def parts(self) -> Iterator[Part]:
         """The parts in order, until the stream ends. One that is cut short is delivered as it is.
@@ -60,13 +79,13 @@ class MultipartParser:
             CameraError: what comes is no multipart stream, or has no end.
         """
         while self._skip_delimiter():
-            length = self._content_length()
+            headers = self._headers()
             if not self._buffer and not self._fill():
                 return
             arrived_ns = self._arrived_ns
-            yield Part(
-                arrived_ns, self._until_delimiter() if length is None else self._take(length)
-            )
+            length = _content_length(headers)
+            data = self._until_delimiter() if length is None else self._take(length)
+            yield Part(arrived_ns, data, _told_ns(headers))
 
     def _fill(self) -> bool:
         data = b"" if self._at_end else self._read(_READ_BYTES)
@@ -82,6 +101,7 @@ class MultipartParser:
             found, looked = self._delimiters.line(self._buffer, looked)
             if found is not None:
                 del self._buffer[: found.end]
+                self.is_closed = found.closes
                 return not found.closes
             surplus = max(0, looked - TAIL_BYTES)
             del self._buffer[:surplus]
@@ -92,27 +112,25 @@ class MultipartParser:
             if not self._fill():
                 return False
 
-    def _content_length(self) -> int | None:
-        """Read a part's headers; what they state as its length."""
-        length = None
+    def _headers(self) -> dict[bytes, bytes]:
+        """A part's headers, by their names in lower case."""
+        headers: dict[bytes, bytes] = {}
         used = 0
         while True:
             while (end := self._buffer.find(b"\n")) < 0:
                 if len(self._buffer) > _MAX_HEADER_BYTES:
                     raise CameraError("sends a part whose headers have no end")
                 if not self._fill():
-                    return None
+                    return headers
             line = bytes(self._buffer[:end]).strip()
             del self._buffer[: end + 1]
             used += end
             if used > _MAX_HEADER_BYTES:
                 raise CameraError("sends a part whose headers have no end")
             if not line:
-                return length
+                return headers
             name, _, value = line.partition(b":")
-            if name.strip().lower() == b"content-length" and value.strip().isdigit():
-                stated = int(value.strip()[:18])
-                length = stated if 0 < stated <= MAX_PART_BYTES else None
+            headers[name.strip().lower()] = value.strip()
 
     def _take(self, length: int) -> bytes:
         while len(self._buffer) < length and self._fill():
@@ -137,3 +155,16 @@ class MultipartParser:
         body = bytes(self._buffer[:end])
         del self._buffer[: len(body)]
         return body.removesuffix(b"\r\n") if end is None else body
+
+
+def _content_length(headers: dict[bytes, bytes]) -> int | None:
+    text = headers.get(b"content-length", b"")
+    stated = int(text[:18]) if text.isdigit() else 0
+    return stated if 0 < stated <= MAX_PART_BYTES else None
+
+
+def _told_ns(headers: dict[bytes, bytes]) -> int | None:
+    for name in _TIMES:
+        if found := _SECONDS.fullmatch(headers.get(name, b"")):
+            return int(found[1]) * 1_000_000_000 + int(found[2].ljust(9, b"0"))
+    return None

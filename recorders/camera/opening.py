@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 
 from recorders.camera.base import Source
-from tunenet_logs.errors import CameraError
+from tunenet_logs.errors import CameraAwayError
 
 
 def opened_within(seconds: float, shown: str, open_source: Callable[[], Source]) -> Source:
@@ -21,13 +21,15 @@ def opened_within(seconds: float, shown: str, open_source: Callable[[], Source])
         open_source: raises what it raises here.
 
     Raises:
-        CameraError: it takes longer.
+        CameraAwayError: it takes longer.
     """
     opening = _Opening(open_source)
     opening.start()
     try:
         if not opening.is_done.wait(seconds):
-            raise CameraError(f"{shown}: cannot be opened within {seconds:g} s; is the camera on?")
+            raise CameraAwayError(
+                f"{shown}: cannot be opened within {seconds:g} s; is the camera on?"
+            )
         return opening.take()
     finally:
         opening.abandon()

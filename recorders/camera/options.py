@@ -6,6 +6,7 @@ import argparse
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -38,6 +39,36 @@ def camera_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
             help="end when a camera delivers nothing for so long [s] (default: 5)",
         ),
         add(
+            "--wait",
+            type=number(0.1, 3600, "s"),
+            metavar="S",
+            help="for so long, try a network camera that is not there yet [s] (default: not)",
+        ),
+        add(
+            "--stamps",
+            choices=["camera", "arrival"],
+            help="when a live camera's pictures were taken: as it tells, else by the even clock "
+            "behind their arrivals (default); or when they arrived",
+        ),
+        add(
+            "--fingerprint",
+            metavar="HEX",
+            help="SHA-256 of the certificate that an https or rtsps camera shows, to believe that "
+            "one (default: those that a known authority signed)",
+        ),
+        add(
+            "--insecure",
+            action="store_true",
+            default=None,
+            help="believe any certificate of an https or rtsps camera",
+        ),
+        add(
+            "--rtsp-transport",
+            choices=("tcp", "udp"),
+            help="what an rtsp camera's packets come by (default: tcp, and udp where the camera "
+            "refuses that)",
+        ),
+        add(
             "--exposure",
             type=number(0.1, 1000, "ms"),
             metavar="MS",
@@ -60,6 +91,12 @@ def camera_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
             action="store_true",
             default=None,
             help="show a live camera on a page of this machine, and record from there on",
+        ),
+        add(
+            "--transcode",
+            action="store_true",
+            default=None,
+            help="record a camera's video as JPEGs (default: H.264 and H.265 as they come)",
         ),
         add(
             "--ball",
@@ -91,14 +128,20 @@ def record_camera_as_asked(arguments: argparse.Namespace, path: Path) -> str:
         TuneNetError: it cannot be opened, read or written.
     """
     from recorders.camera.capture import Limits, record_camera
+    from recorders.camera.lasting import lasting_camera
+    from recorders.camera.network_options import NetworkOptions, Transport
     from recorders.camera.settings import Settings
-    from recorders.camera.sources import open_source
+    from recorders.camera.sources import is_asked_again, open_source
+    from recorders.camera.tls import Trust
     from tunenet_logs.episode import EpisodeInfo
+    from tunenet_logs.output.log_place import check_log_name
 
     limits = Limits(
         seconds=arguments.seconds,
         stall_s=arguments.stall or Limits.stall_s,
+        wait_s=arguments.wait or Limits.wait_s,
         min_free_bytes=round(arguments.min_free * 1e6),
+        stamps=arguments.stamps or Limits.stamps,
     )
     settings = Settings(
         size=arguments.size,
@@ -118,9 +161,28 @@ def record_camera_as_asked(arguments: argparse.Namespace, path: Path) -> str:
         rig={name: value for name, value in rig.items() if value is not None},
         notes={"ball": arguments.ball} if arguments.ball else {},
     )
-    source = open_source(
-        arguments.camera, settings=settings, filmed_hz=arguments.fps, timeout_s=limits.stall_s
+    open_camera = partial(
+        open_source,
+        arguments.camera,
+        settings=settings,
+        filmed_hz=arguments.fps,
+        timeout_s=limits.stall_s,
+        network=NetworkOptions(
+            Trust.of(arguments.fingerprint, bool(arguments.insecure)),
+            Transport(arguments.rtsp_transport) if arguments.rtsp_transport else None,
+        ),
+        transcode=bool(arguments.transcode),
     )
+    progress = Progress(quiet=arguments.quiet)
+    if is_asked_again(arguments.camera):
+        check_log_name(path, overwrite=arguments.overwrite)  # not after having waited
+        source = lasting_camera(
+            open_camera, wait_s=limits.wait_s, stall_s=limits.stall_s, say=progress.say
+        )
+    elif arguments.wait:
+        raise UsageError("--wait is for a camera in a network; leave it out")
+    else:
+        source = open_camera()
     with _preview(arguments, source.live) as preview:
         summary = record_camera(
             source,
@@ -128,7 +190,7 @@ def record_camera_as_asked(arguments: argparse.Namespace, path: Path) -> str:
             path,
             limits=limits,
             overwrite=arguments.overwrite,
-            progress=Progress(quiet=arguments.quiet),
+            progress=progress,
             preview=preview,
         )
     return f"{source.name}; {summary.in_words('frames')}"

@@ -13,11 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from recorders.camera.measured_rate import measured_hz
+from recorders.camera.preview_video import PreviewVideo
 from recorders.loopback_page import Answer, LoopbackPage, as_json, place_in
 from tunenet_logs.episode import Frame
 from tunenet_logs.errors import LogError
 from tunenet_logs.images import MAX_PIXELS, image_size
+from tunenet_logs.measured_rate import FASTEST_CAMERA_HZ, measured_hz
+from tunenet_logs.messages import VIDEO_FORMATS
 
 _RATE_FRAMES = 60
 """Frames over which the shown rate is measured: one or two seconds."""
@@ -27,6 +29,10 @@ _BLOWN_OUT = 250
 
 _PAUSE_SECONDS = 0.03
 """Between two pictures of the page: an eye needs no more, and recording comes first."""
+
+
+_LOOKS_S = 3.0
+"""After its last question, for which somebody counts as looking: the page asks every second."""
 
 
 @dataclass(frozen=True)
@@ -58,8 +64,11 @@ class Preview:
         self.stop = threading.Event()
         self.click: Click | None = None
         self._frame: Frame | None = None
-        self._shown = 0
+        self._pictured = 0
+        self._count = 0
         self._dropped = 0
+        self._video: PreviewVideo | None = None
+        self._looked_at = -_LOOKS_S
         self._stamps_ns: deque[int] = deque(maxlen=_RATE_FRAMES)
         self._changed = threading.Condition()
         self._is_closed = False
@@ -67,12 +76,26 @@ class Preview:
         self.url = self._page.url
 
     def show(self, frame: Frame, dropped: int) -> None:
-        """Let the page see the newest frame."""
+        """Let the page see the newest frame; of a video, while somebody looks."""
         with self._changed:
-            self._frame = frame
-            self._shown += 1
+            self._count += 1
             self._dropped = dropped
             self._stamps_ns.append(frame.stamp_ns)
+        if frame.encoding not in VIDEO_FORMATS:
+            self._picture(frame)
+            return
+        if self._video is None:
+            self._video = PreviewVideo(self._picture)
+            self._video.start()
+        if time.monotonic() - self._looked_at < _LOOKS_S:
+            self._video.offer(frame)
+        else:
+            self._video.skip()
+
+    def _picture(self, frame: Frame) -> None:
+        with self._changed:
+            self._frame = frame
+            self._pictured += 1
             self._changed.notify_all()
 
     def close(self) -> None:
@@ -80,6 +103,8 @@ class Preview:
         with self._changed:
             self._is_closed = True
             self._changed.notify_all()
+        if self._video is not None:
+            self._video.close()
         self._page.close()
 
     def get(self, path: str) -> Answer | None:
@@ -106,11 +131,12 @@ class Preview:
         seen = 0
         while True:
             with self._changed:
-                while self._shown == seen and not self._is_closed:
+                self._looked_at = time.monotonic()
+                while self._pictured == seen and not self._is_closed:
                     self._changed.wait()
                 if self._is_closed or self._frame is None:
                     return
-                seen, data = self._shown, self._frame.data
+                seen, data = self._pictured, self._frame.data
             yield data
 
     def _parts(self) -> Iterator[bytes]:
@@ -122,8 +148,9 @@ class Preview:
     def state(self) -> dict[str, Any]:
         """What the page shows beside the picture."""
         with self._changed:
-            frame, shown, dropped = self._frame, self._shown, self._dropped
-            rate_hz = measured_hz(self._stamps_ns, live=True)
+            self._looked_at = time.monotonic()
+            frame, shown, dropped = self._frame, self._count, self._dropped
+            rate_hz = measured_hz(self._stamps_ns, FASTEST_CAMERA_HZ)
         state: dict[str, Any] = {
             "is_recording": self.record.is_set(),
             "frames": shown,

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 
+from recorders.camera.address import Address, scheme_of, with_scheme
 from recorders.camera.base import Source
+from recorders.camera.network_options import NetworkOptions
 from recorders.camera.opening import opened_within
 from recorders.camera.settings import Settings
 from tunenet_logs.errors import UsageError
@@ -25,8 +29,16 @@ _SPARE_S = 5.0
 _DEVICE_S = 30.0
 """For a plugged-in camera: drivers try some seconds long, and each setting may take its own."""
 
-_SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://")
-"""What an address begins with, by RFC 3986; a device or a file has none."""
+
+@dataclass(frozen=True)
+class Wishes:
+    """What is wanted of a source; see `open_source`."""
+
+    settings: Settings
+    filmed_hz: float | None
+    timeout_s: float
+    network: NetworkOptions
+    transcode: bool
 
 
 def open_source(
@@ -35,52 +47,165 @@ def open_source(
     settings: Settings | None = None,
     filmed_hz: float | None = None,
     timeout_s: float = 5.0,
+    network: NetworkOptions | None = None,
+    transcode: bool = False,
 ) -> Source:
     """Open a camera or a video.
 
     Args:
-        text: a device's number or /dev/... path, an http, https or rtsp address, or a file.
+        text: a device's number or /dev/... path, an address, "-" for standard input, a FIFO, or a
+            file.
         settings: what to ask of a device.
         filmed_hz: rate at which a file was filmed, where its tags do not say so.
-        timeout_s: the longest silence of a network camera.
+        timeout_s: the longest silence of a live camera.
+        network: how a network camera is asked.
+        transcode: whether pictures of a camera that sends video are to become JPEGs.
 
     Raises:
         UsageError: an option that is not for this source, or an address that is none.
         CameraError: it cannot be opened.
         LogError: a file that is no video.
     """
-    settings = settings or Settings()
-    scheme = found.group(1).lower() if (found := _SCHEME.match(text)) else ""
-    is_number = text.isascii() and text.isdecimal() and len(text) < 5
-    is_device = is_number or text.startswith("/dev/")
-    if not is_device and settings.asked():
-        option = _OPTIONS[settings.asked()[0]]
+    text = with_scheme(text)
+    kind = _kind_of(text)
+    if kind in _BY_OTHERS:
+        raise UsageError(
+            f"--camera: {kind} is not read here; let a program that does write it to standard "
+            f"input: {_BY_OTHERS[kind]} | tunenet-record --camera -"
+        )
+    if kind not in _OPENERS:
+        known = ", ".join(name for name in _OPENERS if name.isalpha())
+        raise UsageError(
+            f"--camera: {kind}:// is not recorded; there is {known}, and files by their bare names"
+        )
+    wishes = Wishes(
+        settings or Settings(), filmed_hz, timeout_s, network or NetworkOptions(), transcode
+    )
+    _refuse_what_is_others(kind, wishes)
+    return _OPENERS[kind](text, wishes)
+
+
+def is_asked_again(text: str) -> bool:
+    """Whether a source is a camera in a network that can be connected again, and again."""
+    return _kind_of(with_scheme(text)) in _ASKED_AGAIN
+
+
+def _kind_of(text: str) -> str:
+    """The scheme of an address, else what it is."""
+    if scheme := scheme_of(text):
+        return scheme
+    if _is_number(text) or text.startswith("/dev/"):
+        return "a device"
+    return "a pipe" if text == "-" or Path(text).is_fifo() else "a file"
+
+
+def _is_number(text: str) -> bool:
+    return text.isascii() and text.isdecimal() and len(text) < 5
+
+
+def _refuse_what_is_others(kind: str, wishes: Wishes) -> None:
+    if kind != "a device" and wishes.settings.asked():
+        option = _OPTIONS[wishes.settings.asked()[0]]
         raise UsageError(f"{option} is for a camera that is plugged in; leave it out")
-    if (is_device or scheme) and filmed_hz is not None:
+    if kind != "a file" and wishes.filmed_hz is not None:
         raise UsageError("--fps is for a video file; a camera's rate is measured")
-    # Each pulls in its own library, so that a file needs no network code and the other way round.
-    if is_device:
-        from recorders.camera.device import CameraDevice
+    if kind in ("a device", "a file") and wishes.transcode:
+        raise UsageError("--transcode is for a camera that sends video; leave it out")
+    wishes.network.check(kind)
 
-        path = Path(f"/dev/video{int(text)}" if is_number else text)
-        return opened_within(_DEVICE_S, str(path), lambda: CameraDevice(path, settings))
-    if scheme in ("http", "https"):
-        from recorders.camera.address import Address
-        from recorders.camera.mjpeg_stream import OPENING_S, MjpegStream
 
-        address = Address.of(text)
-        longest_s = max(OPENING_S, timeout_s) + _SPARE_S
-        return opened_within(longest_s, address.shown, lambda: MjpegStream(address, timeout_s))
-    if scheme == "rtsp":
-        from recorders.camera.address import Address
-        from recorders.camera.rtsp_stream import RtspStream
+# Each pulls in its own library, so that a file needs no network code and the other way round.
 
-        address = Address.of(text)
-        # Connecting and learning what the stream holds have the time-out each.
-        longest_s = 2 * timeout_s + _SPARE_S
-        return opened_within(longest_s, address.shown, lambda: RtspStream(address, timeout_s))
-    if scheme:
-        raise UsageError(f"--camera: {scheme} is not recorded; use http, https, rtsp or a file")
+
+def _device(text: str, wishes: Wishes) -> Source:
+    from recorders.camera.device import CameraDevice
+
+    path = Path(f"/dev/video{int(text)}" if _is_number(text) else text)
+    return opened_within(_DEVICE_S, str(path), lambda: CameraDevice(path, wishes.settings))
+
+
+def _file(text: str, wishes: Wishes) -> Source:
     from recorders.camera.video_file import VideoFile
 
-    return VideoFile(Path(text), filmed_hz)
+    return VideoFile(Path(text), wishes.filmed_hz)
+
+
+def _http(text: str, wishes: Wishes) -> Source:
+    from recorders.camera.http_stream import open_http
+
+    address = Address.of(text)
+    return _opened(
+        address.shown, wishes, lambda: open_http(address, wishes.timeout_s, wishes.network.trust)
+    )
+
+
+def _rtsp(text: str, wishes: Wishes) -> Source:
+    from recorders.camera.rtsp_stream import RtspStream
+
+    address, timeout_s, network = Address.of(text), wishes.timeout_s, wishes.network
+    return _opened(
+        address.shown,
+        wishes,
+        lambda: RtspStream(address, timeout_s, network.trust, network.rtsp_transport),
+        2 * timeout_s,  # to learn what the stream holds
+    )
+
+
+def _bytes(text: str, wishes: Wishes) -> Source:
+    from recorders.camera.plain_stream import open_pipe, open_tcp, open_udp
+
+    opener = {"tcp": open_tcp, "udp": open_udp}.get(scheme_of(text), open_pipe)
+    return _opened(text, wishes, lambda: opener(text, wishes.timeout_s))
+
+
+def _opened(
+    shown: str, wishes: Wishes, opening: Callable[[], Source], more_s: float = 0.0
+) -> Source:
+    """What a camera sends, in the form in which a log holds it."""
+    from recorders.camera.connection import OPENING_S
+    from recorders.camera.packet_stream import PacketStream
+    from recorders.camera.transcoded import as_kept
+
+    def opened() -> Source:
+        source = opening()
+        if isinstance(source, PacketStream):
+            return as_kept(source, transcode=wishes.transcode)
+        return source
+
+    longest_s = max(OPENING_S, wishes.timeout_s) + more_s + _SPARE_S
+    return opened_within(longest_s, shown, opened)
+
+
+_OPENERS: Mapping[str, Callable[[str, Wishes], Source]] = MappingProxyType(
+    {
+        "a device": _device,
+        "a file": _file,
+        "a pipe": _bytes,
+        "http": _http,
+        "https": _http,
+        "rtsp": _rtsp,
+        "rtsps": _rtsp,
+        "tcp": _bytes,
+        "udp": _bytes,
+    }
+)
+"""By an address's scheme, or by what has none."""
+
+_ASKED_AGAIN = frozenset({"http", "https", "rtsp", "rtsps", "tcp"})
+"""Of these, those that answer whoever asks."""
+
+_FFMPEG = "ffmpeg -loglevel error -i {}://... -c copy -f matroska -"
+_BY_OTHERS: Mapping[str, str] = MappingProxyType(
+    {
+        "srt": "gst-launch-1.0 -q srtsrc uri=srt://... ! fdsink",
+        "rtp": "gst-launch-1.0 -q udpsrc port=5004 "
+        "caps=application/x-rtp,media=video,encoding-name=H264,clock-rate=90000 ! "
+        "rtpjitterbuffer ! rtph264depay ! h264parse ! matroskamux streamable=true ! fdsink",
+        "rtmp": _FFMPEG.format("rtmp"),
+        "rtmps": _FFMPEG.format("rtmps"),
+    }
+)
+"""By the scheme that the library here lacks, or that says too little: who reads it instead.
+
+Without its jitter buffer GStreamer stamps what comes by RTP when it came, not when it was taken.
+"""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from tunenet_logs.episode import Frame
+from recorders.camera.base import Shot
 from tunenet_logs.errors import CameraError
 from tunenet_logs.formats.video import open_video, video_notes
 from tunenet_logs.jpeg import compressed
@@ -24,7 +24,8 @@ class VideoFile:
     """
 
     live = False
-    damaged = 0
+    returns = False
+    damaged = dropped = 0
     ended = ""
 
     def __init__(self, path: Path, filmed_hz: float | None = None) -> None:
@@ -49,7 +50,7 @@ class VideoFile:
             notes["warnings"] = "; ".join(self._video.warnings)
         return notes
 
-    def frames(self) -> Iterator[Frame]:
+    def frames(self) -> Iterator[Shot]:
         """All frames; a camera's own JPEGs untouched, all else compressed anew.
 
         Raises:
@@ -58,7 +59,7 @@ class VideoFile:
         for frame in self._video.frames():
             if self._closed:
                 return
-            yield compressed(frame)
+            yield Shot(compressed(frame))
 
     def close(self) -> None:
         """End running `frames`; nothing is held open otherwise."""

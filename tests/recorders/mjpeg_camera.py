@@ -267,7 +267,7 @@ def times_in(log: Path) -> list[tuple[int, int]]:
 
 
 def check_times(log: Path, address: str) -> None:
-    """Check the times of what this process recorded of all that the camera sent.
+    """Check the times of what this process recorded, by arrival, of all that the camera sent.
 
     Each frame's stamp lies between the moment of its sending and that of its receipt.
     """

@@ -12,11 +12,13 @@ from pathlib import Path
 
 import pytest
 
+from recorders.camera.base import Shot
 from recorders.camera.capture import Limits, record_camera
 from tests.conftest import Command
 from tests.recorders.live_wait import LAST_RESORT_S
 from tests.recorders.mjpeg_camera import picture, playing
 from tests.recorders.test_mjpeg_stream import QUIET, numbers, record
+from tunenet_logs.clock import now_ns
 from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.errors import CameraError, LogError
 from tunenet_logs.reader import read_episode
@@ -51,8 +53,8 @@ def test_user_and_password_are_sent_and_never_shown(command: Command, tmp_path: 
     ("plan", "says"),
     [
         ({"status": 404}, "404"),
-        ({"kind": "text/html", "body": "<html>hello</html>"}, "text/html"),
-        ({"kind": "image/jpeg", "body": "x"}, "image/jpeg"),
+        ({"kind": "text/html", "body": "<html>hello</html>"}, "answers with a web page"),
+        ({"kind": "image/jpeg", "body": "x"}, "is no video that is known here"),
         ({"kind": "multipart/x-mixed-replace; boundary=frame", "body": "x" * 999}, "no frame came"),
         ({"cut_every": 1, "frames": 12, "rate_hz": 500.0}, "12 parts were no whole JPEG"),
     ],
@@ -168,13 +170,14 @@ def test_a_failure_in_the_reading_thread_reaches_the_user(tmp_path: Path):
     class Breaks:
         """A source with a defect of its own."""
 
-        name, live, ended, damaged = "camera broken", True, "", 0
+        name, live, returns = "camera broken", True, False
+        ended, damaged, dropped = "", 0, 0
 
         def notes(self):
             return {}
 
         def frames(self):
-            yield Frame(1, "jpeg", picture(1))
+            yield Shot(Frame(1, "jpeg", picture(1)))
             raise ZeroDivisionError("oops")
 
         def close(self):
@@ -190,6 +193,40 @@ def test_a_failure_in_the_reading_thread_reaches_the_user(tmp_path: Path):
             progress=QUIET,
         )
     assert len(list(read_episode(tmp_path / "a.mcap").frames())) == 1
+
+
+@pytest.mark.parametrize(("arrivals_s", "is_late"), [((-9, -9), True), ((-9, 9), False)])
+def test_late_is_what_waits_to_be_written(
+    tmp_path: Path, arrivals_s: tuple[int, ...], is_late: bool
+):
+    """A picture that is known to be whole by the next one alone does not wait meanwhile."""
+
+    class Waited:
+        """A source whose pictures came at other times than now."""
+
+        name, live, returns = "camera", True, False
+        ended, damaged, dropped = "", 0, 0
+
+        def notes(self):
+            return {}
+
+        def frames(self):
+            for number, arrival_s in enumerate(arrivals_s):
+                yield Shot(Frame(now_ns() + arrival_s * 10**9, "jpeg", picture(number)))
+
+        def close(self):
+            pass
+
+    summary = record_camera(
+        Waited(),
+        EpisodeInfo(),
+        tmp_path / "a.mcap",
+        limits=Limits(stall_s=LAST_RESORT_S),
+        overwrite=False,
+        progress=QUIET,
+    )
+    assert (summary.lag_s > 8) is is_late
+    assert ("longest_lag_s" in read_episode(tmp_path / "a.mcap").info.notes) is is_late
 
 
 def test_a_log_that_exists_stays(tmp_path: Path):

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 
-from recorders.camera.measured_rate import measured_hz
 from recorders.camera.multipart import MultipartParser
 from recorders.camera.opening import opened_within
 from recorders.camera.sources import open_source
@@ -20,6 +19,7 @@ from tests.recorders.hostile_cameras import CONTINUE, MOVED, OK, sending
 from tests.recorders.live_wait import LAST_RESORT_S, ending, wait_until
 from tests.recorders.mjpeg_camera import picture
 from tunenet_logs.errors import CameraError
+from tunenet_logs.measured_rate import FASTEST_CAMERA_HZ, FASTEST_HZ, measured_hz
 
 pytestmark = pytest.mark.live
 
@@ -36,7 +36,7 @@ EMPTY = b"--frame\r\nContent-Length: 0\r\n\r\n\r\n"
         (b"HTTP/1.1 200 OK\r\n", b"X: y\r\n" * 1000, False, "does not answer as a camera"),
         (MOVED, b"", False, "answers 302"),
         (MOVED, b"z" * 65536, False, "answers 302"),
-        (b"HTTP/1.1 302 F\r\nLocation: file:///etc/hosts\r\n\r\n", b"", False, "302"),
+        (b"HTTP/1.1 302 F\r\nLocation: file:///etc/hosts\r\n\r\n", b"", False, "to file"),
         (b"HTTP/1.1 302 F\r\nLocation: ftp://127.0.0.1/\r\n\r\n", b"", False, "sends on to ftp"),
         (b"HTTP/1.1 302 F\r\nLocation: http://10.0.0.9/\r\n\r\n", b"", False, "sends on to http"),
     ],
@@ -44,7 +44,7 @@ EMPTY = b"--frame\r\nContent-Length: 0\r\n\r\n\r\n"
 def test_an_opening_has_an_end(
     monkeypatch: pytest.MonkeyPatch, head: bytes, again: bytes, drips: bool, says: str
 ):
-    monkeypatch.setattr("recorders.camera.mjpeg_stream.OPENING_S", 2.0)
+    monkeypatch.setattr("recorders.camera.http_stream.OPENING_S", 2.0)
     with sending(head, again, drips=drips) as url, pytest.raises(CameraError, match=says):
         open_source(url, timeout_s=2.0)
 
@@ -104,7 +104,7 @@ def test_work_grows_with_the_bytes_alone(boundary: str, head: bytes, again: byte
     assert seconds(4_000_000) < 16 * seconds(1_000_000) + 0.2  # a square would be 16 times
 
 
-@pytest.mark.parametrize("scheme", ["http", "rtsp", "https"])
+@pytest.mark.parametrize("scheme", ["http", "rtsp", "https", "rtsps"])
 def test_ctrl_c_while_a_camera_is_opened(tmp_path: Path, scheme: str):
     with sending(b"", b"") as url:
         words = [BIN / "tunenet-record", "--camera", url.replace("http", scheme, 1)]
@@ -129,7 +129,8 @@ def wait_for_thread(pid: int) -> None:
 
 def test_what_opens_too_late_is_closed():
     class Late:
-        name, live, ended, damaged = "late", True, "", 0
+        name, live, returns = "late", True, False
+        ended, damaged, dropped = "", 0, 0
         closed = threading.Event()
 
         def notes(self):
@@ -155,14 +156,14 @@ def test_what_opens_too_late_is_closed():
 
 def test_a_burst_has_a_true_rate_or_none():
     second = 1_000_000_000
-    assert measured_hz([5, 6, 7, 8], live=True) == 0
-    assert measured_hz([0, 60_000, 130_000], live=True) == 0
-    assert measured_hz([], live=True) == measured_hz([3], live=True) == 0
+    assert measured_hz([5, 6, 7, 8], FASTEST_CAMERA_HZ) == 0
+    assert measured_hz([0, 60_000, 130_000], FASTEST_CAMERA_HZ) == 0
+    assert measured_hz([], FASTEST_CAMERA_HZ) == measured_hz([3], FASTEST_CAMERA_HZ) == 0
     bursts = [at * second // 20 + extra for at in range(40) for extra in (0, 1, 2)]
-    assert measured_hz(bursts, live=True) == pytest.approx(60, rel=0.05)
+    assert measured_hz(bursts, FASTEST_CAMERA_HZ) == pytest.approx(60, rel=0.05)
     paused = [at * second // 60 + (at > 50) * 9 * second for at in range(120)]
-    assert measured_hz(paused, live=True) == pytest.approx(60, rel=0.001)
-    assert measured_hz([at * 100_000 for at in range(50)], live=False) == pytest.approx(10_000)
+    assert measured_hz(paused, FASTEST_CAMERA_HZ) == pytest.approx(60, rel=0.001)
+    assert measured_hz([at * 100_000 for at in range(50)], FASTEST_HZ) == pytest.approx(10_000)
 
 
 def test_a_whole_picture_after_much_else_counts(tmp_path: Path, command: Command):

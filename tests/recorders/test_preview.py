@@ -140,7 +140,7 @@ def test_a_slow_viewer_sees_the_newest_picture():
 
 def test_the_picture_is_the_cameras_own(page: PreviewPage):
     source = open_source(page.url + "live", timeout_s=LAST_RESORT_S)
-    shown = [frame for frame, _ in zip(source.frames(), range(10), strict=False)]
+    shown = [shot.frame for shot, _ in zip(source.frames(), range(10), strict=False)]
     source.close()
     assert {frame.data for frame in shown} <= {picture(number) for number in range(DISTINCT)}
     assert len({frame.data for frame in shown}) > 1

@@ -43,12 +43,12 @@ def test_its_frames_arrive_in_order_at_their_times(tmp_path: Path, stall: bool):
     episode = read_episode(tmp_path / "a.mcap")
     frames = list(episode.frames())
     seen = [number_in(frame.decode()) for frame in frames]
-    assert seen == list(range(1, len(seen) + 1))  # FFmpeg gives the first no time
-    assert len(seen) >= FRAMES - 2  # one may wait in the parser for the next to begin
+    assert seen == list(range(FRAMES))
     stamps_ns = np.array([frame.stamp_ns for frame in frames])
-    assert np.allclose(np.diff(stamps_ns), 1e9 / RATE_HZ, atol=2e4)
-    _, received_ns = times_in(tmp_path / "a.mcap")[0]
-    assert started_ns < stamps_ns[0] <= received_ns
+    assert np.allclose(np.diff(stamps_ns), 1e9 / RATE_HZ, atol=1)
+    _, received_ns = times_in(tmp_path / "a.mcap")[-1]
+    # The last may be looked at too late to place the clock: they came before they were due.
+    assert started_ns < stamps_ns[-1] <= received_ns + 1e9 / RATE_HZ
     assert summary.ended == (
         f"no data for {STALL_S} s" if stall else "the stream was closed by the camera"
     )
@@ -60,7 +60,7 @@ def test_its_frames_arrive_in_order_at_their_times(tmp_path: Path, stall: bool):
 def test_a_camera_without_frames_is_one_line(command: Command, tmp_path: Path):
     with rtsp_camera([numbered(0)], RATE_HZ, stall=True) as address:
         url = f"rtsp://me:secret@{address}"
-        result = command("tunenet-record", "--camera", url, "--stall", 0.5, cwd=tmp_path)
+        result = command("tunenet-record", "--camera", url, "--stall", 0.5, "--quiet", cwd=tmp_path)
     assert result.returncode in (0, 1)  # the one frame may or may not come out
     assert result.stderr.count("\n") == result.returncode
     assert "secret" not in result.stderr + result.stdout

@@ -6,7 +6,7 @@ import pytest
 from tunenet_logs.clock_jumps import filmed_part, part_on_grid, sound_part, written_part
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 from tunenet_logs.one_clock import on_one_clock
-from tunenet_logs.timestamp_correction import order_samples, sorted_stamps
+from tunenet_logs.sample_order import order_samples, sorted_stamps
 
 SECOND = 10**9
 EVEN = 1_700_000_000 * SECOND + np.arange(400) * 10_000_000

@@ -17,7 +17,10 @@ from tests.conftest import files_no_larger_than
 from tunenet_logs.output.mcap_output import McapOutput
 from tunenet_logs.output.whole_file import WholeFile
 
-MESSAGES = [(index % 2, 50 + 7 * (index % 3), os.urandom(index * 37 % 9000)) for index in range(99)]
+MESSAGES = [
+    (index % 2, 50 + 7 * (index % 3), os.urandom(index * 37 % 9000).hex().encode())
+    for index in range(99)
+]
 
 
 def by_the_library(flushes: bool) -> bytes:
@@ -79,6 +82,23 @@ def test_the_bytes_are_those_of_the_library(tmp_path: Path, opened: Opened, flus
     output = by_us(opened(tmp_path / "a.mcap"), flushes)
     assert output.message_count == len(MESSAGES)
     assert (tmp_path / "a.mcap").read_bytes() == by_the_library(flushes)
+
+
+def test_pictures_are_packed_with_little_effort(tmp_path: Path, opened: Opened):
+    """A chunk that cannot be packed says that it is, as all do, and every reader reads it."""
+    path = tmp_path / "a.mcap"
+    pictures = [os.urandom(100_000) for _ in range(3)]
+    output = McapOutput(opened(path), "ros2", "ours")
+    channel = output.add_channel("/a", "cdr", output.add_schema("a", "ros2msg", "float64 x"))
+    for number, data in enumerate(pictures):
+        output.add_message(channel, number, number, number, data)
+    output.end("last", {})
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        assert [message.data for *_, message in reader.iter_messages()] == pictures
+        summary = reader.get_summary()
+        assert summary is not None
+        assert {one.compression for one in summary.chunk_indexes} == {"zstd"}
 
 
 def test_a_log_without_messages_is_one_too(tmp_path: Path, opened: Opened):

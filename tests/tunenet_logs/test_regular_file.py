@@ -10,7 +10,7 @@ import pytest
 
 from tests.conftest import Command
 from tunenet_logs.errors import LogError
-from tunenet_logs.regular_file import check_regular, open_regular, open_regular_text
+from tunenet_logs.regular_file import open_regular, open_regular_text
 
 
 def test_a_file_and_a_link_to_it_are_read(tmp_path: Path):
@@ -31,7 +31,7 @@ def test_a_pipe_a_socket_and_a_device_are_refused(tmp_path: Path):
         listener.bind(str(tmp_path / "socket"))
         for path in (tmp_path / "pipe", tmp_path / "socket", Path("/dev/zero"), Path("/dev/tty")):
             with pytest.raises(LogError, match=f"^{path}: is no regular file"):
-                check_regular(path)
+                open_regular(path)
 
 
 def test_a_pipe_that_takes_a_files_place_does_not_wait(
@@ -43,7 +43,7 @@ def test_a_pipe_that_takes_a_files_place_does_not_wait(
     state = Path.stat
     monkeypatch.setattr(Path, "stat", lambda path, **_: state(whole if path == pipe else path))
     with pytest.raises(LogError, match="is no regular file"):
-        check_regular(pipe)
+        open_regular(pipe)
 
 
 def test_folders_and_circles_are_errors_of_the_system(tmp_path: Path):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import groupby
 from typing import TYPE_CHECKING
@@ -34,25 +34,34 @@ _AV1_BEGINS_PICTURE = (3, 6)
 
 @dataclass(slots=True)
 class Packet:
-    """What one message holds; `format` is one of `CODECS`."""
+    """What one message holds; `format` is one of `CODECS`, or FFmpeg's name for another."""
 
     stamp_ns: int
     format: str
     data: bytes
 
 
-def decoded(packets: Iterable[Packet]) -> Iterator[Frame]:
+def decoded(
+    packets: Iterable[Packet], opened: Callable[[str], VideoCodecContext] | None = None
+) -> Iterator[Frame]:
     """The pictures of a stream as "rgb8" frames, each with the stamp of its own message.
 
     What comes before the first picture that stands alone is left out, and so are damaged packets
     and pictures that the decoder says are damaged. One picture is in memory at a time, beside those
     that the decoder keeps to build others upon.
 
+    Args:
+        packets: in the order in which they were sent.
+        opened: a decoder by FFmpeg's name for it, where one knows more than packets say.
+
     Raises:
         LogError: this machine's FFmpeg has no such decoder.
     """
-    for name, group in groupby(packets, key=lambda packet: CODECS[packet.format]):
-        yield from _Stream(name).frames(group)
+    open_decoder = opened or _opened
+    for name, group in groupby(
+        packets, key=lambda packet: CODECS.get(packet.format, packet.format)
+    ):
+        yield from _Stream(name, open_decoder(name)).frames(group)
 
 
 def _is_picture(name: str, data: bytes) -> bool:
@@ -88,9 +97,9 @@ def _is_picture(name: str, data: bytes) -> bool:
 class _Stream:
     """One decoder, from its first packet to what it still holds at the end."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, decoder: VideoCodecContext) -> None:
         self._name = name
-        self._decoder = _opened(name)
+        self._decoder = decoder
         self._stamps_ns: dict[int, int] = {}
         self._began = False
 

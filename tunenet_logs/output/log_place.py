@@ -33,6 +33,22 @@ _PIECE_BYTES = 1024 * 1024
 """Copied at a time."""
 
 
+def check_log_name(path: Path, *, overwrite: bool) -> None:
+    """Refuse a name that a finished log cannot take.
+
+    Args:
+        path: the log.
+        overwrite: whether it may replace one that is there.
+
+    Raises:
+        LogError: it cannot; with the reason.
+    """
+    if path.is_dir():
+        raise LogError(f"{path}: is a directory; name a file to write")
+    if os.path.lexists(path) and not overwrite:
+        raise LogError(f"{path}: exists; choose another name with -o, or pass --overwrite")
+
+
 class LogPlace:
     """A log's two names, and the space beside it. The first one is this process's alone.
 
@@ -53,25 +69,20 @@ class LogPlace:
         self._overwrite = overwrite
         self._min_free_bytes = min_free_bytes
         try:
-            self._check_name()
+            check_log_name(path, overwrite=overwrite)
             self.active_path = path.with_name(path.name + ACTIVE_SUFFIX)
             if why := self.why_too_full(free_bytes(path.parent)):
                 raise LogError(f"{path}: not recorded, {why}; free some space, or lower --min-free")
             self.claim = ClaimedName(self.active_path, takes_over=overwrite)
             try:
-                self._check_name()  # another may have ended its log before the claim
+                check_log_name(
+                    path, overwrite=overwrite
+                )  # another may have ended its log before the claim
             except LogError:
                 self.claim.remove()
                 raise
         except OSError as error:
             raise not_writable(path, error) from error
-
-    def _check_name(self) -> None:
-        """Refuse a name that the finished log cannot take."""
-        if self.path.is_dir():
-            raise LogError(f"{self.path}: is a directory; name a file to write")
-        if os.path.lexists(self.path) and not self._overwrite:
-            raise LogError(f"{self.path}: exists; choose another name with -o, or pass --overwrite")
 
     def why_too_full(self, free: int) -> str:
         """Why a disk with so many bytes free takes no more; "" if it does."""

@@ -91,6 +91,7 @@ def test_a_network_camera_plays_a_drop(command: Command, tmp_path: Path):
     sent = [frame.data for frame in read_episode(SAMPLE).frames()]
     with playing(log=str(SAMPLE), frames=len(sent), rate_hz=240.0) as address:
         words = ("--camera", f"http://{address}", "--stall", LAST_RESORT_S, "-o", "a.mcap")
+        words += ("--stamps", "arrival")
         recorded = command("tunenet-record", *words, cwd=tmp_path)
         check_times(tmp_path / "a.mcap", address)
     assert recorded.returncode == 0, recorded.stderr

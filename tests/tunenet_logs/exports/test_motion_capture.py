@@ -24,7 +24,7 @@ from tunenet_logs.episode import UNSTATED
 from tunenet_logs.formats.exports.start import start_of
 from tunenet_logs.formats.read_options import ReadOptions
 from tunenet_logs.formats.registry import _EXPORTS
-from tunenet_logs.timestamp_correction import correct_late_stamps
+from tunenet_logs.late_stamps import correct_late_stamps
 
 LAYOUTS = sorted(WRITERS)
 SEEN = np.isfinite(BALL[:, 0])

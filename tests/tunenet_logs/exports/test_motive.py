@@ -12,7 +12,7 @@ from tests.export_writers import write_motive
 from tests.tunenet_logs.exports.tracks import BALL, OTHER, RATE_HZ, SECONDS, read, skipped
 from tunenet_logs.episode import UNSTATED
 from tunenet_logs.errors import LogError
-from tunenet_logs.timestamp_correction import correct_late_stamps
+from tunenet_logs.late_stamps import correct_late_stamps
 
 
 def take(folder: Path, version: str = "1.23", **options: object) -> Path:

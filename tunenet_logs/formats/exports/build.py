@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from tunenet_logs.episode import FRAME_NS, UNSTATED, Channel, Episode, EpisodeInfo, Signal
 from tunenet_logs.formats.read_options import ReadOptions
 from tunenet_logs.formats.tables.meaning import LENGTHS
-from tunenet_logs.timestamp_correction import sorted_stamps
+from tunenet_logs.sample_order import sorted_stamps
 
 _MOST_S = 2.0**62 * 1e-9
 """Of a time: what int64 holds in ns, so that differences fit as well."""

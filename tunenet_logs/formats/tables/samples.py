@@ -15,7 +15,7 @@ from tunenet_logs.formats.tables.failures import NUMBER_REMEDY, unreadable
 from tunenet_logs.formats.tables.group import Group
 from tunenet_logs.formats.tables.numbers import Numbers
 from tunenet_logs.formats.tables.runs import rows_of_runs
-from tunenet_logs.timestamp_correction import order_samples
+from tunenet_logs.sample_order import order_samples
 
 
 class SignalSamples:

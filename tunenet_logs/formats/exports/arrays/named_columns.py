@@ -17,7 +17,7 @@ from tunenet_logs.formats.exports.arrays.column_times import column_stamps
 from tunenet_logs.formats.exports.build import export_episode, frame_stamps, position_signal
 from tunenet_logs.formats.read_options import ReadOptions
 from tunenet_logs.formats.tables.times import Clock
-from tunenet_logs.timestamp_correction import sorted_stamps
+from tunenet_logs.sample_order import sorted_stamps
 
 MOST_ROWS = 2_000_000
 """Of a file: an hour at 500 Hz."""

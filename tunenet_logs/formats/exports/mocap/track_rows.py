@@ -25,7 +25,7 @@ from tunenet_logs.formats.exports.mocap.number_rows import (
     unended,
 )
 from tunenet_logs.formats.read_options import ReadOptions
-from tunenet_logs.timestamp_correction import sorted_stamps
+from tunenet_logs.sample_order import sorted_stamps
 
 MOST_UNLABELED = 100
 """Of the tracks that no one named: those that were seen most are used."""

@@ -19,7 +19,7 @@ from tunenet_logs.formats.exports.build import time_stamps
 from tunenet_logs.formats.exports.trackers.spot_rows import best_separator
 from tunenet_logs.formats.tables.lines import cells_of
 from tunenet_logs.formats.tables.numbers import Numbers, decimal_of
-from tunenet_logs.timestamp_correction import sorted_stamps
+from tunenet_logs.sample_order import sorted_stamps
 
 NAME = "impacts"
 """Of the signal."""

@@ -1,0 +1,118 @@
+"""What a camera answers over HTTP: its host alone, with its login and its certificate."""
+
+from __future__ import annotations
+
+import string
+from http.client import HTTPConnection, HTTPResponse
+from urllib.parse import SplitResult, quote, urljoin, urlsplit, urlunsplit
+
+from recorders.camera.address import Address
+from recorders.camera.connection import PASSING, answering, connect, sent_on
+from recorders.camera.login import Login
+from recorders.camera.tls import Trust
+from recorders.deadline import Deadline
+from tunenet_logs.errors import CameraAwayError, CameraError
+from tunenet_logs.terminal import short_name
+
+_MOST_MORE = 8
+"""Requests beyond the first for one answer: redirections, and the login."""
+
+_MOVED = (301, 302, 303, 307, 308)
+
+_HEADERS = {"Accept": "*/*", "Connection": "close", "User-Agent": "tunenet-record"}
+
+
+class HttpCamera:
+    """One host, which is asked once or often over HTTP or HTTPS.
+
+    Redirections are followed within the host alone: elsewhere may be what only this machine can
+    reach, and a camera shall not choose it. The password goes nowhere else, and never from https
+    to http. There are no proxies: a camera stands in the same room.
+
+    Args:
+        address: names the host and the login.
+        trust: which certificate is believed.
+    """
+
+    def __init__(self, address: Address, trust: Trust) -> None:
+        self._shown = address.shown
+        self._first = urlsplit(address.url)
+        self._trust = trust
+        self._login = Login.of(address)
+        self._has_password = bool(address.user or address.password)
+
+    def answer(self, url: str, deadline: Deadline) -> HTTPResponse:
+        """What the host answers with 200 (or another 2xx), its body still to be read.
+
+        Its `url` is where that was, behind all redirections.
+
+        Its `url` is where it was in the end.
+
+        Args:
+            url: absolute, of the same host: what a playlist names may be another.
+            deadline: for all of it, the body too.
+
+        Raises:
+            CameraError: the host cannot be reached, refuses, or sends on to another.
+        """
+        with answering(self._shown, deadline):
+            return self._followed(self._checked(url), deadline)
+
+    def _followed(self, parts: SplitResult, deadline: Deadline) -> HTTPResponse:
+        response = self._asked(parts, deadline)
+        for _ in range(_MOST_MORE):
+            place = response.headers.get("Location", "")
+            if response.status == 401:
+                self._login.take(response.headers.get_all("WWW-Authenticate", []))
+            elif response.status in _MOVED and place:
+                place = quote(place, safe=string.punctuation, encoding="latin-1")
+                parts = self._checked(urljoin(urlunsplit(parts), place))
+            else:
+                break
+            response.close()  # its body is not read: it may have no end
+            response = self._asked(parts, deadline)
+        if 200 <= response.status < 300:
+            response.url = urlunsplit(parts)
+            return response
+        response.close()
+        remedy = "check the path" if response.status == 404 else "check the address"
+        kind = CameraAwayError if response.status in PASSING else CameraError
+        raise kind(f"answers {response.status} {short_name(response.reason)}; {remedy}")
+
+    def _asked(self, parts: SplitResult, deadline: Deadline) -> HTTPResponse:
+        path = urlunsplit(("", "", parts.path or "/", parts.query, ""))
+        connection = _Connection(parts, deadline, self._trust)
+        login = self._login.header("GET", path)
+        headers = _HEADERS | ({"Authorization": login} if login else {})
+        try:
+            connection.request("GET", path, headers=headers)
+            response = connection.getresponse()
+        except BaseException:
+            connection.close()
+            raise
+        if connection.sock is not None:  # the answer holds it open, and closes it
+            connection.sock.close()
+            connection.sock = None
+        return response
+
+    def _checked(self, url: str) -> SplitResult:
+        """Take a place apart where it is of the host; elsewhere nothing is asked."""
+        parts = urlsplit(url)
+        is_there = parts.scheme in ("http", "https") and parts.hostname == self._first.hostname
+        is_weaker = self._first.scheme == "https" and parts.scheme == "http" and self._has_password
+        if not is_there or is_weaker:
+            raise sent_on(url, ("http", "https"))
+        return parts
+
+
+class _Connection(HTTPConnection):
+    """To where an address says, with a deadline."""
+
+    def __init__(self, parts: SplitResult, deadline: Deadline, trust: Trust) -> None:
+        self.default_port = 443 if parts.scheme == "https" else 80
+        super().__init__(parts.hostname or "", parts.port or self.default_port)
+        self._deadline = deadline
+        self._trust = trust if parts.scheme == "https" else None
+
+    def connect(self) -> None:
+        self.sock = connect(self.host, self.port, self._deadline, self._trust)

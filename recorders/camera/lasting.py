@@ -1,0 +1,241 @@
+"""A network camera that may start late, fall silent, or go and come back."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+
+from recorders.camera.base import Shot, Source
+from recorders.camera.camera_link import CameraLink, Inbox
+from tunenet_logs.errors import CameraAwayError
+
+_BETWEEN_S = 0.5
+"""Between the beginnings of two links: a camera that is away is not hurried by more."""
+
+_TRY_S = 10.0
+"""For a link to bring a picture, before another takes its place: as long as opening may take,
+and as pictures may be apart from which a stream can be decoded."""
+
+_SILENT_S = 3.0
+"""Of silence, or half of what is allowed, after which a new connection is tried beside the silent
+one: of its two ends one may be gone, and the other never hears of it."""
+
+_MOST_HANGING = 4
+"""Attempts that were given up and still hang in a library, with which no new one is made."""
+
+_LOOK_S = 0.1
+"""How often to look at the clock while nothing comes."""
+
+
+def lasting_camera(
+    open_camera: Callable[[], Source], *, wait_s: float, stall_s: float, say: Callable[[str], None]
+) -> Source:
+    """Open a camera, and see to it that it is opened again where that can help.
+
+    Args:
+        open_camera: makes one connection.
+        wait_s: how long one is tried that is not there yet.
+        stall_s: how long one may deliver nothing, in one connection or in several.
+        say: tells somebody that it is away, and that it is back.
+
+    Raises:
+        CameraError: it is not there, or cannot be opened at all.
+    """
+    until = time.monotonic() + wait_s
+    said = ""
+    while True:
+        next_at = time.monotonic() + _BETWEEN_S
+        try:
+            source = open_camera()
+        except CameraAwayError as error:
+            now = time.monotonic()
+            if now >= until:
+                raise
+            if not said:
+                said = f"{_without_remedy(error)}; waiting for it, {wait_s:g} s at most"
+                say(said)
+            time.sleep(max(0.0, min(until, next_at) - now))
+        else:
+            break
+    if not source.returns:
+        return source
+    return LastingCamera(source, open_camera, until=until, stall_s=stall_s, say=say)
+
+
+class LastingCamera:
+    """Delivers the shots of one connection after another, as a single source.
+
+    Where the connection breaks, a new one is tried, and again until `stall_s` have passed since the
+    last shot. Where it falls silent, a new one is tried beside it; the one that delivers first is
+    kept. A camera that ends its stream itself is not asked again.
+
+    Args:
+        first: a connection that was made.
+        open_camera: makes another one.
+        until: when to stop trying a camera that has never delivered anything [monotonic s].
+        stall_s: see `lasting_camera`.
+        say: see there.
+    """
+
+    live = True
+    returns = False
+
+    def __init__(
+        self,
+        first: Source,
+        open_camera: Callable[[], Source],
+        *,
+        until: float,
+        stall_s: float,
+        say: Callable[[str], None],
+    ) -> None:
+        self.name = first.name
+        self.ended = ""
+        self._source = first
+        self._open_camera = open_camera
+        self._say = say
+        self._inbox = Inbox()
+        self._links = [CameraLink(self._inbox, lambda: first)]
+        self._delivering: CameraLink | None = self._links[0]
+        self._hanging: list[CameraLink] = []
+        self._connection = 0
+        self._damaged = self._dropped = 0
+        self._stall_s = stall_s
+        self._heard = self._tried = time.monotonic()
+        self._tries_until = until
+        self._patience_s = max(stall_s, until - self._heard)
+        self._lost = self._not_back = ""
+        self._failure: Exception | None = None
+        self._closed = False
+
+    @property
+    def damaged(self) -> int:
+        """Those of all connections."""
+        return self._damaged + sum(link.source.damaged for link in self._links if link.source)
+
+    @property
+    def dropped(self) -> int:
+        """Those of all connections."""
+        return self._dropped + sum(link.source.dropped for link in self._links if link.source)
+
+    def notes(self) -> dict[str, str]:
+        """Those of the latest connection that delivered."""
+        return self._source.notes()
+
+    def frames(self) -> Iterator[Shot]:
+        """The shots as they come, each with the number of its connection.
+
+        Raises:
+            TuneNetError: what no new link mends.
+        """
+        self._links[0].start()
+        try:
+            while not self._closed and not self.ended:
+                self._try_when_due()
+                brought = self._inbox.take(_LOOK_S)
+                if brought is None:
+                    self._end_when_due()
+                elif brought.shot is None:
+                    self._has_ended(brought.link)
+                else:
+                    self._has_come(brought.link)
+                    yield brought.shot._replace(connection=self._connection)
+        finally:
+            self.close()
+
+    def close(self) -> None:
+        """End running `frames`, and let go of every connection."""
+        self._closed = True
+        for link in list(self._links):
+            link.give_up()
+
+    def _end_when_due(self) -> None:
+        """Say why nothing more is to come, if that is so."""
+        if self._failure is not None and not self._links:
+            raise self._failure
+        now = time.monotonic()
+        if now - self._heard >= self._patience_s:
+            whys = ", then ".join(filter(None, (self._lost, self._not_back)))
+            self.ended = f"no frame for {self._patience_s:.1f} s" + (f": {whys}" if whys else "")
+        elif now >= self._tries_until and not self._links:
+            self.ended = self._lost
+
+    def _try_when_due(self) -> None:
+        """Begin a link where the camera is away or silent, and none is under way."""
+        now = time.monotonic()
+        if self._failure or now >= self._tries_until or now < self._tried + _BETWEEN_S:
+            return
+        if self._delivering is not None:
+            if now - self._heard < min(_SILENT_S, self._stall_s / 2):
+                return
+            self._lose("fell silent")
+        for link in self._links:
+            if link is not self._delivering:
+                if now < self._tried + _TRY_S:
+                    return
+                self._give_up(link)
+                break
+        self._hanging = [link for link in self._hanging if link.is_alive()]
+        if len(self._hanging) < _MOST_HANGING:
+            self._tried = now
+            self._links.append(CameraLink(self._inbox, self._open_camera))
+            self._links[-1].start()
+
+    def _has_come(self, link: CameraLink) -> None:
+        """One of the links delivers: the others are not needed."""
+        for other in [one for one in self._links if one is not link]:
+            self._give_up(other)
+        now = time.monotonic()
+        if self._lost and self._connection:
+            self._say(f"camera back after {now - self._heard:.1f} s")
+        if link is not self._delivering or not self._connection:
+            assert link.source is not None
+            self._delivering, self._source = link, link.source
+            self._connection += 1
+        self._lost = self._not_back = ""
+        self._patience_s = self._stall_s
+        self._heard, self._tries_until = now, now + self._stall_s
+
+    def _has_ended(self, link: CameraLink) -> None:
+        """One of the links is over, in whatever way."""
+        self._forget(link)
+        source, error = link.source, link.error
+        if error is not None and not isinstance(error, CameraAwayError):
+            self._failure = error
+        why = self._short(error) if source is None or error else source.ended
+        if link is not self._delivering:
+            self._not_back = why
+            return
+        self._delivering = None
+        if source is not None and not source.returns and not error:
+            self.ended = why
+        else:
+            self._lose(why)
+
+    def _lose(self, why: str) -> None:
+        """The camera is away."""
+        if self._lost or self._failure:
+            return
+        self._lost = why
+        left_s = self._tries_until - time.monotonic()
+        if left_s > 0:
+            self._say(f"{self.name}: {why}; trying again, {left_s:.1f} s at most")
+
+    def _give_up(self, link: CameraLink) -> None:
+        self._forget(link)
+        self._hanging.append(link)
+        link.give_up()
+
+    def _forget(self, link: CameraLink) -> None:
+        self._links.remove(link)
+        if link.source is not None:
+            self._damaged += link.source.damaged
+            self._dropped += link.source.dropped
+
+    def _short(self, error: Exception | None) -> str:
+        """What is wrong, without the camera's name, which every line has, and without a remedy."""
+        return _without_remedy(error).removeprefix(f"{self.name.removeprefix('camera ')}: ")
+
+
+def _without_remedy(error: Exception | None) -> str:
+    return str(error).partition(";")[0]

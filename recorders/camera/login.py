@@ -1,0 +1,171 @@
+"""A user and a password, as HTTP and RTSP ask for them (RFC 7617, 7616 and 2617)."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import secrets
+from base64 import b64encode
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+from recorders.camera.address import Address
+from tunenet_logs.errors import CameraError, UsageError
+from tunenet_logs.terminal import listed, short_name
+
+_LONGEST_HEADER = 4000
+"""Characters of a challenge that are looked at."""
+
+_MOST_SCHEMES = 10
+"""That one answer offers, of which the best is taken."""
+
+_WORD = re.compile(r'([^\s,="]+)(?:\s*=\s*("(?:[^"\\]|\\.)*"|[^\s,]*))?')
+"""In a challenge: a scheme, or a name with its value, which may stand in quotes."""
+
+_HASHES = {"MD5": "md5", "SHA-256": "sha256", "SHA-512-256": "sha512_256"}
+"""Of a digest, by the names of RFC 7616, from weak to strong; servers write them as they like."""
+
+
+@dataclass(frozen=True)
+class _Challenge:
+    """One way to log in that a server offers."""
+
+    scheme: str
+    values: dict[str, str]
+
+    @property
+    def algorithm(self) -> str:
+        """Of a digest: what hashes."""
+        return self.values.get("algorithm", "MD5").upper().removesuffix("-SESS")
+
+    @property
+    def is_session(self) -> bool:
+        """Of a digest: whether the password is hashed with the nonces, once for all requests."""
+        return self.values.get("algorithm", "").upper().endswith("-SESS")
+
+    @property
+    def qualities(self) -> list[str]:
+        """Of a digest: what may be hashed, the request (auth) or its body too (auth-int)."""
+        return re.findall(r"[^\s,]+", self.values.get("qop", "").lower())
+
+    @property
+    def strength(self) -> int:
+        """The higher the better; 0 is what is not known."""
+        if self.scheme == "basic":
+            return 1
+        is_possible = not self.qualities or "auth" in self.qualities
+        if self.scheme != "digest" or self.algorithm not in _HASHES or not is_possible:
+            return 0
+        return 2 + list(_HASHES).index(self.algorithm)
+
+    @property
+    def in_words(self) -> str:
+        """Its name, and of a digest what is hashed how."""
+        words = [self.scheme, *(self.values.get(name, "") for name in ("algorithm", "qop"))]
+        return short_name(" ".join(word for word in words if word))
+
+
+class Login:
+    """What proves who asks: to be taken with every request, once a server has asked for it.
+
+    Args:
+        user, password: "" for none.
+
+    Raises:
+        UsageError: they hold what would end the line in which they are sent.
+    """
+
+    def __init__(self, user: str, password: str) -> None:
+        if not f"{user}{password}".isprintable():
+            raise UsageError("--camera: a user or password has characters that nobody can type")
+        self._user = user
+        self._password = password
+        self._challenge: _Challenge | None = None
+        self._own_nonce = ""
+        self._uses = 0
+
+    @classmethod
+    def of(cls, address: Address) -> Login:
+        """The login that an address names."""
+        return cls(address.user, address.password)
+
+    def header(self, method: str, uri: str) -> str | None:
+        """The `Authorization` of a request; None before a server has asked for one."""
+        if self._challenge is None:
+            return None
+        self._uses += 1
+        if self._challenge.scheme == "basic":
+            return "Basic " + b64encode(f"{self._user}:{self._password}".encode()).decode()
+        return self._digest(self._challenge, method, uri)
+
+    def take(self, challenges: Iterable[str]) -> None:
+        """Take what a server asks for with a 401: the best that is known.
+
+        Args:
+            challenges: its `WWW-Authenticate`, in one header or several.
+
+        Raises:
+            CameraError: no login was named, it asks for none that is known, or it has refused the
+                right answer to what it asked before.
+        """
+        if not self._user and not self._password:
+            raise CameraError("wants a password (401); put user:password@ before the host")
+        offers = list(_offers(challenges))
+        best = max(offers, key=lambda offer: offer.strength, default=None)
+        if best is None or not best.strength:
+            asked = listed(offer.in_words for offer in offers) or "nothing"
+            raise CameraError(
+                f"asks for a login by {asked} (401); basic is known, and digest with MD5 or "
+                "SHA-256 of the request (qop auth)"
+            )
+        if self._uses == 1 and best.values.get("stale", "").lower() != "true":
+            raise CameraError("refuses this user and password (401); check both")
+        self._challenge = best
+        self._own_nonce = secrets.token_hex(8)
+        self._uses = 0
+
+    def _digest(self, challenge: _Challenge, method: str, uri: str) -> str:
+        """RFC 7616, 3.4; without a qop RFC 2069's, which it contains."""
+        values = challenge.values
+        realm, nonce = values.get("realm", ""), values.get("nonce", "")
+        uses = f"{self._uses:08x}"
+
+        def hashed(*words: str) -> str:
+            return hashlib.new(_HASHES[challenge.algorithm], ":".join(words).encode()).hexdigest()
+
+        secret = hashed(self._user, realm, self._password)
+        if challenge.is_session:
+            secret = hashed(secret, nonce, self._own_nonce)
+        request = hashed(method, uri)
+        fields = {"username": self._user, "realm": realm, "nonce": nonce, "uri": uri}
+        plain = {name: values[name] for name in ("algorithm",) if name in values}
+        if challenge.qualities:
+            fields["response"] = hashed(secret, nonce, uses, self._own_nonce, "auth", request)
+            plain |= {"qop": "auth", "nc": uses}
+        else:
+            fields["response"] = hashed(secret, nonce, request)
+        if challenge.qualities or challenge.is_session:
+            fields["cnonce"] = self._own_nonce
+        if "opaque" in values:
+            fields["opaque"] = values["opaque"]
+        quoted = (f"{name}={_quoted(value)}" for name, value in fields.items())
+        return "Digest " + ", ".join([*quoted, *(f"{name}={plain[name]}" for name in plain)])
+
+
+def _offers(challenges: Iterable[str]) -> Iterator[_Challenge]:
+    """What is offered, one after the other: RFC 9110, 11.6.1."""
+    found = [match for text in challenges for match in _WORD.finditer(text[:_LONGEST_HEADER])]
+    starts = [at for at, match in enumerate(found) if match[2] is None][:_MOST_SCHEMES]
+    for start, end in pairwise([*starts, len(found)]):
+        values = {match[1].lower(): _unquoted(match[2]) for match in found[start + 1 : end]}
+        yield _Challenge(found[start][1].lower(), values)
+
+
+def _quoted(text: str) -> str:
+    escaped = re.sub(r'(["\\])', r"\\\1", text)
+    return f'"{escaped}"'
+
+
+def _unquoted(text: str) -> str:
+    return re.sub(r"\\(.)", r"\1", text[1:-1]) if text.startswith('"') else text

@@ -1,0 +1,126 @@
+"""Two UDP ports on which a camera's packets arrive: its pictures', and its reports'."""
+
+from __future__ import annotations
+
+import socket
+import struct
+from collections import deque
+from collections.abc import Iterator
+
+from tunenet_logs.errors import CameraError
+
+_RECEIVE_BYTES = 8 * 1024 * 1024
+"""Asked of the kernel, which gives what it allows: a large key picture comes all at once."""
+
+_MOST_TRIES = 100
+"""For two free ports that follow each other."""
+
+_PACKET_BYTES = 65_536
+_MOST_AT_ONCE = 256
+"""Packets that are taken before anything else is looked after."""
+
+_MOST_TORN = 4096
+"""Times of pictures of which something was lost, until they are asked for."""
+
+_EMPTY_PACKET = struct.pack(">BBHII", 0x80, 0, 0, 0, 0)
+_EMPTY_REPORT = struct.pack(">BBHI", 0x80, 201, 1, 0)
+"""RTP without pictures, and a receiver's report of nothing (RFC 3550): they open a router's way."""
+
+_NUMBER_AND_TICKS = struct.Struct(">HI")
+"""Of an RTP packet, behind its first two bytes."""
+
+
+class RtpPorts:
+    """Takes the packets that come from one host, and sends to no other.
+
+    Args:
+        control: the connection to that host.
+
+    Attributes:
+        numbers: the ports; an even one, and the next.
+        lost: packets that did not come, by their numbers.
+        has_any: whether one has come.
+
+    Raises:
+        CameraError: there are no free ports.
+    """
+
+    def __init__(self, control: socket.socket) -> None:
+        self.lost = 0
+        self.has_any = False
+        self._host = control.getpeername()[0]
+        self._next: int | None = None
+        self._first_ticks = self._last_ticks = 0
+        self._torn: deque[int] = deque(maxlen=_MOST_TORN)
+        self._buffer = bytearray(_PACKET_BYTES)
+        own = control.getsockname()[0]
+        for _ in range(_MOST_TRIES):
+            packets = socket.socket(control.family, socket.SOCK_DGRAM)
+            reports = socket.socket(control.family, socket.SOCK_DGRAM)
+            try:
+                packets.bind((own, 0))
+                port = packets.getsockname()[1]
+                if port % 2 == 0:
+                    reports.bind((own, port + 1))
+                    break
+            except (OSError, OverflowError):
+                pass
+            packets.close()
+            reports.close()
+        else:
+            raise CameraError("no two UDP ports are free here; try --rtsp-transport tcp")
+        packets.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BYTES)
+        self.sockets = (packets, reports)
+        self.numbers = (port, port + 1)
+        for one in self.sockets:
+            one.setblocking(False)
+
+    def open_ways(self, packets_port: int, reports_port: int) -> None:
+        """Send nothing to where packets will come from: routers between then let them through."""
+        ways = ((packets_port, _EMPTY_PACKET), (reports_port or packets_port + 1, _EMPTY_REPORT))
+        for one, (port, nothing) in zip(self.sockets, ways, strict=True):
+            if 0 < port < 65536:
+                one.sendto(nothing, (self._host, port))
+
+    def packets(self) -> Iterator[tuple[int, memoryview]]:
+        """What has come: 0 and a packet, or 1 and a report; each to be used before the next."""
+        for channel, one in enumerate(self.sockets):
+            for _ in range(_MOST_AT_ONCE):
+                try:
+                    size, sender = one.recvfrom_into(self._buffer)
+                except OSError:  # there is no more; or the host had said that a port is closed
+                    break
+                if sender[0] == self._host and size >= (12, 8)[channel]:
+                    self.has_any = True
+                    if channel == 0:
+                        self._count(*_NUMBER_AND_TICKS.unpack_from(self._buffer, 2))
+                    yield channel, memoryview(self._buffer)[:size]
+
+    def close(self) -> None:
+        """Let go of the ports."""
+        for one in self.sockets:
+            one.close()
+
+    def is_torn(self, ticks: int | None) -> bool:
+        """Whether packets were lost, or came late, within or beside a picture.
+
+        Args:
+            ticks: its time, from 0 for the first; asked in order.
+        """
+        if ticks is None:
+            return False
+        sent_ticks = self._first_ticks + ticks & 0xFFFFFFFF
+        return sent_ticks in self._torn
+
+    def _count(self, number: int, ticks: int) -> None:
+        if self._next is None:
+            self._first_ticks = ticks
+        ahead = 0 if self._next is None else (number - self._next) & 0xFFFF
+        if ahead:  # the end of one picture, the beginning of the next, or all between them
+            self._torn += (self._last_ticks, ticks)
+        self._last_ticks = ticks
+        if ahead < 0x8000:
+            self.lost += ahead
+            self._next = number + 1 & 0xFFFF
+        elif self.lost:  # one that came late
+            self.lost -= 1

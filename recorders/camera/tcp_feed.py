@@ -1,0 +1,34 @@
+"""A camera that sends its video as soon as one connects to it, over bare TCP."""
+
+from __future__ import annotations
+
+from recorders.camera.address import Address
+from recorders.camera.connection import connect
+from recorders.deadline import Deadline
+
+
+class TcpFeed:
+    """The bytes of one connection.
+
+    Args:
+        address: host and port.
+        deadline: of connecting and of all reads.
+
+    Raises:
+        UsageError: more than host and port, or less.
+        CameraError: nothing answers there.
+        TimeoutError: it does not answer in time.
+    """
+
+    def __init__(self, address: Address, deadline: Deadline) -> None:
+        host, port = address.host_and_port()
+        self._socket = connect(host, port, deadline, None)
+
+    def read(self, most: int) -> bytes:
+        """See `ByteFeed`."""
+        data = bytearray(most)
+        return bytes(data[: self._socket.recv_into(data)])
+
+    def close(self) -> None:
+        """See `ByteFeed`."""
+        self._socket.close()

@@ -1,0 +1,345 @@
+"""Samples that were stamped when they arrived, put back to when they were taken.
+
+A network or a busy machine only delays, and a sensor's clock is even. There are two ways to be
+late. Now and then: the stamps are even but for a pause, and after it as many samples as it would
+have held, one close upon the other. Or each by its own time, as pictures over Wi-Fi are: then the
+clock behind all arrivals is found (`even_clock`).
+
+Stamps that are no arrivals stay what they are: exact ones of which some are missing, those of a
+sensor that is not even, or of one that slows down as a camera does in the dark. Which it is, the
+stamps tell: delays add up to nothing, and what came late is followed by what comes close upon it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tunenet_logs.even_clock import EvenClock, even_clock
+
+STAMPS_NOTE = "stamps"
+"""The note of a log's info record that says whose clock a camera's stamps are of."""
+
+BY_ARRIVALS = "even clock"
+"""What it begins with where they were found from the arrivals, which are the log's own times."""
+
+ARRIVALS = (BY_ARRIVALS, "arrival")
+"""What it begins with where the times that are read are arrivals."""
+
+_PAUSE_PERIODS = 1.5
+"""A longer step is a pause: half-way between the usual step and that over one missing sample."""
+
+_CLOSE_PERIODS = 0.9
+"""A shorter step belongs to a burst that catches up; an even clock's own jitter is smaller."""
+
+_PUNCTUAL_PERIODS = 0.3
+"""A sample is no later than that where the burst has made up for the pause."""
+
+_PATIENCE_SAMPLES = 3
+"""Samples in a row that are not close, after which what follows a pause is no burst."""
+
+_MIN_SAMPLES = 10
+"""Fewer do not tell an even clock's period."""
+
+_SINGLE_FRACTION = 0.1
+"""Of the steps: at least so many go to the very next point of a grid that has points left out."""
+
+_MOST_MEDIAN_FRAMES = 3
+"""Of the median step on a grid: with more, what looks like its frames is how stamps are rounded."""
+
+_NEAR_PERIODS = 8
+"""Longer steps tell nothing of a grid: the error of its period adds up."""
+
+_ROUNDING_NS = 1_100
+"""Of a step between two stamps of whole microseconds, or of ..."""
+
+_ROUNDING_FRACTION = 1e-3
+"""... a frame."""
+
+_ALIKE, _MOSTLY = 0.02, 0.5
+"""Of a period: steps that differ by less are alike. Of the steps: as many are like the next one
+where each sample is stamped when it was taken."""
+
+_LATE, _LATE_MS = 0.02, 0.3
+"""Of a period, and at least: standard deviation of delays that are worth a correction."""
+
+_ADDS_UP = 1.1
+"""Standard deviation of delays over that of the steps: delays of one sample each give 0.7, and a
+sensor whose steps differ by themselves drifts far from any even clock."""
+
+_HURRIED, _OFTEN = 0.25, 0.05
+"""Of a period, and of the steps: no sensor is so fast so often, but what waited on its way is."""
+
+_FEW_LOST = 0.2
+"""Of all ticks: with more missing, an even clock explains whatever comes."""
+
+_ROUNDED = 1.5
+"""Of what stamps are rounded to: delays that are no more than that are rounding."""
+
+_COMPARED, _TELLING = 512, 0.4
+"""Samples whose steps are put in another order, and log likelihood a sample that it must cost."""
+
+MOST_SAMPLES = 50_000
+"""Of which a clock is sought: a quarter of an hour of a camera."""
+
+_PARTS, _FEWEST_OF_PART = 8, 10
+"""A rate that changes is sought in so many parts of equal length, with so many samples each."""
+
+_OTHER_RATE = 0.1
+"""Of a rate: parts differ by more where it changes."""
+
+_LAG = 24
+"""Samples over which a rate is taken where each is late by its own time."""
+
+_AT_ONCE, _OFTEN_AT_ONCE = 0.1, 0.2
+"""Of a usual step, and of the steps of a part that is left out because its samples had waited."""
+
+_SURELY = 8.0
+"""Usual deviations of a part's rate that are no change."""
+
+_UNUSUAL = 0.9
+"""Quantile to which single long delays and steps are cut where two spreads are compared."""
+
+
+@dataclass(frozen=True, eq=False)
+class CorrectedStamps:
+    """Stamps as they were recorded, and with those of late samples corrected.
+
+    Attributes:
+        recorded_ns: shape (T,) [ns].
+        stamps_ns: when the samples were taken, increasing, shape (T,) [ns].
+        clock: the even clock that they are taken from; None where they are not.
+        rates: how the rate of the samples changes, in words; "" where it does not.
+    """
+
+    recorded_ns: NDArray[np.int64]
+    stamps_ns: NDArray[np.int64]
+    clock: EvenClock | None = None
+    rates: str = ""
+
+    @property
+    def taken_ns(self) -> dict[int, int]:
+        """When a sample was taken [ns], by its recorded stamp [ns]; late samples only."""
+        late = self.recorded_ns != self.stamps_ns
+        return dict(
+            zip(self.recorded_ns[late].tolist(), self.stamps_ns[late].tolist(), strict=True)
+        )
+
+    def warnings(self, samples: str) -> list[str]:
+        """What a user should know whose samples came late; empty if none did.
+
+        Args:
+            samples: what they are called: "pictures", "samples".
+        """
+        said = [f"the rate of the {samples} {self.rates}"] if self.rates else []
+        count = len(self.taken_ns)
+        if not count:
+            return said
+        if self.clock is None:
+            latest_ms = float(np.max(self.recorded_ns - self.stamps_ns)) * 1e-6
+            late = f"{count} {samples} came in bursts, up to {latest_ms:.0f} ms late: their stamps"
+            return [*said, f"{late} are taken as even"]
+        return [
+            *said,
+            f"the {samples} came up to {self.clock.lateness.max():.0f} ms late: they are stamped "
+            f"by the even clock behind their arrivals ({clock_in_words(self.clock)})",
+        ]
+
+
+def clock_in_words(clock: EvenClock) -> str:
+    """What a clock is and how sure: "60.00 Hz, known to 0.1 ms, 2 missing"."""
+    words = f"{clock.rate_hz:.2f} Hz, known to {clock.rms_ms:.1f} ms"
+    if clock.lost:
+        words += f", {clock.lost} missing"
+    if unsure := int(np.count_nonzero(clock.unsure)):
+        words += f", {unsure} perhaps a place off"
+    return words
+
+
+def correct_late_stamps(
+    stamps_ns: NDArray[np.int64], *, are_arrivals: bool = False
+) -> CorrectedStamps:
+    """Puts samples that came late back on the even clock behind them, where stamps show one.
+
+    A burst that does not make up for its pause is left as it is, and so are stamps on an exact grid
+    of which points are left out: no burst hits it.
+
+    Args:
+        stamps_ns: not decreasing, shape (T,) [ns].
+        are_arrivals: whether it is known that they are, else the stamps themselves have to show it.
+    """
+    if len(stamps_ns) < _MIN_SAMPLES:
+        return CorrectedStamps(stamps_ns, stamps_ns)
+    if are_arrivals and (clock := clock_behind(stamps_ns, are_arrivals=True)[0]):
+        return CorrectedStamps(stamps_ns, clock.stamps_ns, clock)
+    steps = np.diff(stamps_ns).astype(np.float64)
+    period, lag = float(np.median(steps)), min(_LAG, len(steps) // 2)
+    usual = float(np.median(stamps_ns[lag:] - stamps_ns[:-lag])) / lag
+    comes_singly = period > usual / 2
+    is_exact = comes_singly and np.mean(np.abs(np.diff(steps)) < _ALIKE * period) > _MOSTLY
+    if comes_singly and _is_grid(steps, period):
+        rates = changing_rate(stamps_ns, 1 if is_exact else _LAG)
+        return CorrectedStamps(stamps_ns, stamps_ns, rates=rates)
+    if is_exact or len(stamps_ns) > MOST_SAMPLES:
+        even = _without_bursts(stamps_ns, steps, period)
+        return CorrectedStamps(stamps_ns, even, rates=changing_rate(even))
+    clock, rates = clock_behind(stamps_ns)
+    if clock is None or not _is_worth(clock):
+        return CorrectedStamps(stamps_ns, stamps_ns, rates=rates)
+    return CorrectedStamps(stamps_ns, clock.stamps_ns, clock)
+
+
+def clock_behind(
+    arrivals_ns: NDArray[np.int64], *, are_arrivals: bool = False
+) -> tuple[EvenClock | None, str]:
+    """The even clock behind samples each of which is late by its own time.
+
+    Args:
+        arrivals_ns: not decreasing, shape (T,) [ns].
+        are_arrivals: whether it is known that they are.
+
+    Returns:
+        None where there is none, or none can be told, and how the rate changes then, in words; ""
+        where it does not.
+    """
+    if rates := changing_rate(arrivals_ns, _LAG):
+        return None, rates
+    clock = even_clock(arrivals_ns) if len(arrivals_ns) <= MOST_SAMPLES else None
+    if clock is None or np.any(np.diff(clock.stamps_ns) <= 0) or not _explains(clock):
+        return None, ""
+    return (clock if are_arrivals or _is_telling(clock) else None), ""
+
+
+def changing_rate(stamps_ns: NDArray[np.int64], lag: int = 1) -> str:
+    """How the rate of samples changes, in words: "goes from 60.0 to 30.0 Hz"; "" if it does not.
+
+    By the median step in each of some parts, so neither pauses nor missing samples are a change;
+    nor is what the steps' own scatter makes likely.
+
+    Args:
+        stamps_ns: not decreasing, shape (T,) [ns].
+        lag: samples that a step goes over; many where each is late by its own time.
+    """
+    steps = 1e-6 * (stamps_ns[lag:] - stamps_ns[:-lag]) / lag
+    parts = min(_PARTS, len(steps) // max(_FEWEST_OF_PART, 2 * lag))
+    if parts < 2:
+        return ""
+    # What waited on its way comes at once: no rate of a sensor.
+    at_once = 1e-6 * np.diff(stamps_ns)[: len(steps)] < _AT_ONCE * float(np.median(steps))
+    pieces = [
+        piece
+        for piece, waited in zip(
+            np.array_split(steps, parts), np.array_split(at_once, parts), strict=True
+        )
+        if np.mean(waited) < _OFTEN_AT_ONCE
+    ]
+    if len(pieces) < 2:
+        return ""
+    medians = np.array([np.median(piece) for piece in pieces])
+    # Between one step and the next, neither a slow change nor a sudden one counts.
+    changes = np.diff(steps[::lag])
+    scatter = float(np.median(np.abs(changes - np.median(changes)))) / np.sqrt(2)
+    doubt = _SURELY * scatter / np.sqrt(len(pieces[0]) / lag)
+    low, high = float(medians.min()), float(medians.max())
+    if low <= 0 or high - low <= _OTHER_RATE * high + doubt:
+        return ""
+    first, last = 1e3 / medians[[0, -1]]
+    if abs(first - last) > _OTHER_RATE * max(first, last):
+        return f"goes from {first:.1f} to {last:.1f} Hz"
+    return f"changes between {1e3 / high:.1f} and {1e3 / low:.1f} Hz"
+
+
+def _is_worth(clock: EvenClock) -> bool:
+    """Whether delays are more than rounding, and than what is as well left alone."""
+    late = clock.lateness
+    if np.ptp(late) < _ROUNDED * np.gcd.reduce(np.diff(clock.arrivals_ns)) * 1e-6:
+        return False
+    return _spread(late - np.median(late)) > max(_LATE * float(np.median(clock.periods)), _LATE_MS)
+
+
+def _explains(clock: EvenClock) -> bool:
+    """Whether what a clock calls delays is that: it adds up to nothing, and little is missing."""
+    stamps_ns, late = clock.arrivals_ns, clock.lateness
+    if clock.lost > _FEW_LOST * (clock.lost + len(late)):
+        return False
+    period, steps = float(np.median(clock.periods)), 1e-6 * np.diff(stamps_ns)
+    spread = _spread(late - np.median(late))
+    is_hurried = np.mean(steps < _HURRIED * period) > _OFTEN
+    own = _spread(steps - period * np.diff(clock.ticks))
+    return bool(is_hurried or spread <= max(_ADDS_UP * own, _LATE * period))
+
+
+def _is_telling(clock: EvenClock) -> bool:
+    """Whether the same steps in another order are much less like an even clock.
+
+    They are not where the steps are a sensor's own, that is not even.
+    """
+    first = clock.arrivals_ns[:_COMPARED]
+    shuffled = np.random.default_rng(0).permutation(np.diff(first))
+    whole = clock if len(first) == len(clock.arrivals_ns) else even_clock(first)
+    other = even_clock(first[0] + np.cumsum(np.append(0, shuffled)))
+    assert whole is not None
+    assert other is not None
+    return other.cost - whole.cost > _TELLING * len(first)
+
+
+def _spread(values: NDArray[np.float64]) -> float:
+    """Root mean square, single large values cut."""
+    size = np.abs(values)
+    return float(np.sqrt(np.mean(np.minimum(size, np.quantile(size, _UNUSUAL)) ** 2)))
+
+
+def _without_bursts(
+    stamps_ns: NDArray[np.int64], steps: NDArray[np.float64], period: float
+) -> NDArray[np.int64]:
+    """The stamps with those that follow a pause in a burst as even as before it."""
+    corrected, after = stamps_ns.copy(), 0
+    for pause in np.flatnonzero(steps > _PAUSE_PERIODS * period):
+        end = _caught_up(steps, int(pause), period)
+        if end is None or pause < after:
+            continue
+        inside = slice(pause + 1, end)
+        even = stamps_ns[pause] + np.round(period * np.arange(1, end - pause)).astype(np.int64)
+        corrected[inside] = np.minimum(even, stamps_ns[inside])
+        after = end
+    return corrected
+
+
+def _is_grid(steps: NDArray[np.float64], period: float) -> bool:
+    """Whether all stamps lie on the points of one grid, but for rounding.
+
+    Args:
+        steps: between T samples, shape (T - 1,) [ns].
+        period: the usual step [ns].
+    """
+    frame = float(np.quantile(steps, _SINGLE_FRACTION, method="lower"))
+    if frame <= 0 or period > (_MOST_MEDIAN_FRAMES + 0.5) * frame:
+        return False
+    near = steps[steps < _NEAR_PERIODS * period]
+    counts = np.round(near / frame)
+    if counts.min() < 1:
+        return False
+    frame = float(near.sum() / counts.sum())
+    error = float(np.abs(near - counts * frame).max())
+    return error <= max(_ROUNDING_NS, _ROUNDING_FRACTION * frame)
+
+
+def _caught_up(steps: NDArray[np.float64], pause: int, period: float) -> int | None:
+    """The index behind the first step after a pause that ends where an even clock has it, or None.
+
+    Args:
+        steps: between T samples, shape (T - 1,) [ns].
+        pause: index of the long step.
+        period: the usual step [ns].
+    """
+    lateness, slow = steps[pause] - period, 0
+    for at in range(pause + 1, len(steps)):
+        slow = 0 if steps[at] < _CLOSE_PERIODS * period else slow + 1
+        lateness += steps[at] - period
+        if lateness <= _PUNCTUAL_PERIODS * period:
+            return at + 1
+        if slow == _PATIENCE_SAMPLES:
+            return None
+    return None
