@@ -1,10 +1,16 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`.
 # `make test-all` adds long statistics, the evaluation's own tests and long fuzzing.
+# `make smoke` installs the wheel for every other supported Python found here, and tunes with it.
+# PYTHON is 3.11, 3.12 or 3.13; without it, that of .venv, else python3.11, else python3.
 # PIP_ARGS reaches pip, e.g. to take PyTorch's CPU build from its own index (see README).
 
-PYTHON ?= $(shell command -v python3.11 || command -v python3)
-PIP_ARGS ?=
 BIN := .venv/bin
+PYTHON ?= $(or $(wildcard $(BIN)/python),$(shell command -v python3.11 || command -v python3))
+PIP_ARGS ?=
+version = $(shell $(1) -c 'import platform; print("-".join((platform.python_implementation(), platform.python_version()[:4])))' 2>/dev/null)
+# wheels alone, so that no compiler is needed; nflows (of sbi) has none, and is plain Python
+INSTALL := PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet \
+	--disable-pip-version-check --only-binary=:all: --no-binary=nflows $(PIP_ARGS)
 PYTEST := $(BIN)/pytest -n auto --dist loadfile --no-loadscope-reorder
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
@@ -12,7 +18,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 unexport PYTHONDONTWRITEBYTECODE
 SAMPLES := $(filter-out sample_logs/payload%,$(wildcard sample_logs/*.mcap))
 
-.PHONY: demo test test-all check format bench samples clean
+.PHONY: demo test test-all smoke check style types suite supported-python format bench samples clean
 
 demo: .venv/installed
 	@mkdir -p demo
@@ -22,15 +28,26 @@ demo: .venv/installed
 	$(BIN)/tunenet-review sample_logs/campaign -o demo/campaign.rrd
 	@echo "look at them: $(BIN)/rerun demo/drop.rrd"
 
-test: check
+# types are checked beside the tests: one core is idle while the slowest test file ends
+test: .venv/developing
+	@$(MAKE) --no-print-directory -j3 style types suite
+
+suite: .venv/developing
 	$(PYTEST) -m "not slow"
 
 test-all: check
 	$(PYTEST) --hypothesis-profile=thorough
 
-check: .venv/developing
+smoke: .venv/developing
+	$(BIN)/python -m tests.smoke
+
+check: style types
+
+style: .venv/developing
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+types: .venv/developing
 	$(BIN)/pyright
 
 format: .venv/developing
@@ -47,14 +64,18 @@ samples: .venv/installed
 clean:
 	rm -rf .venv demo build dist *.egg-info
 
-.venv/installed: pyproject.toml constraints.txt
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' || \
-		{ echo "CPython 3.11 is needed (PyBullet has no wheels for others); set PYTHON=/path/to/python3.11"; exit 1; }
+supported-python:
+	@case "$(call version,$(PYTHON))" in CPython-3.11|CPython-3.12|CPython-3.13) ;; \
+	*) echo "PYTHON=$(PYTHON) is not CPython 3.11, 3.12 or 3.13; set PYTHON=/path/to/python3.12"; exit 1;; esac
+	@test ! -e $(BIN)/python || test "$(call version,$(BIN)/python)" = "$(call version,$(PYTHON))" || \
+		{ echo ".venv has $(call version,$(BIN)/python), PYTHON=$(PYTHON) another; run 'make clean' first, or leave PYTHON out"; exit 1; }
+
+.venv/installed: pyproject.toml constraints.txt | supported-python
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_ARGS) -e .
+	$(INSTALL) -e .
 	@touch $@
 
 .venv/developing: .venv/installed
-	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_ARGS) -e '.[dev,eval,ros2,tables]'
+	$(INSTALL) -e '.[dev,eval,ros2,tables,train]'
 	$(BIN)/pyright --version
 	@touch $@

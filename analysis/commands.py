@@ -26,3 +26,8 @@ def plan() -> int:
 def evaluate() -> int:
     """`tunenet-eval`."""
     return start("tunenet-eval", "analysis.evaluation.cli")
+
+
+def export() -> int:
+    """`tunenet-export`."""
+    return start("tunenet-export", "analysis.cli.export")

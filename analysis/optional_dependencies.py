@@ -1,4 +1,4 @@
-"""Libraries that only the experiments need."""
+"""Libraries that only training and the experiments need."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from types import ModuleType
 from tunenet_logs.errors import UsageError
 
 
-def needed(module: str) -> ModuleType:
+def needed(module: str, extra: str = "eval") -> ModuleType:
     """An optional library, imported.
 
     Args:
         module: its name, with dots where a part of it is meant ("sklearn.gaussian_process").
+        extra: of this project, which brings it.
 
     Raises:
         UsageError: it is not installed; says how to install it.
@@ -23,4 +24,4 @@ def needed(module: str) -> ModuleType:
     except ModuleNotFoundError as error:
         if (error.name or "").split(".")[0] != top:
             raise  # it is there, and lacks something of its own
-        raise UsageError(f"{top} is not installed; pip install 'tunenet-logs[eval]'") from error
+        raise UsageError(f"{top} is not installed; pip install 'tunenet-logs[{extra}]'") from error

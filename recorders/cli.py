@@ -10,6 +10,7 @@ from pathlib import Path
 
 from recorders.camera.options import camera_options, record_camera_as_asked
 from recorders.drop_options import drop_options, record_drop_as_asked
+from recorders.engine_option import engine_option, in_engine
 from recorders.outcome_options import outcome_options, record_outcome_as_asked
 from recorders.payload_options import (
     payload_options,
@@ -179,6 +180,7 @@ def _simulated_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
             help="as in the paper: PyBullet's own contact settings at 60 Hz, or an arm under "
             "position control at 240 Hz",
         ),
+        engine_option(group),
     ]
 
 
@@ -235,7 +237,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(one_line(f"{path}: {record_as_asked(arguments, path)}"))
         return 0
 
-    return run(parser, record, argv)
+    return run(parser, in_engine(record), argv)
 
 
 if __name__ == "__main__":

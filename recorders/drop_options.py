@@ -167,7 +167,7 @@ def record_drop_as_asked(arguments: argparse.Namespace, path: Path) -> str:
     )
     return (
         f"restitution {truth['restitution']:.4f}, {more}"
-        f"drop height {rig['drop_height_m']:.3f} m; "
+        f"drop height {rig['drop_height_m']:.3f} m, by {episode.info.source}; "
         + summary.in_words("frames" if arguments.render else "samples")
     )
 

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorders.simulated_drop import DropOrder, simulate_drop
+from recorders.simulators.ball_scene import BallScene
 from recorders.simulators.drop import TOPIC
 from recorders.simulators.pinhole import PinholeCamera, random_camera
-from recorders.simulators.pybullet.rendering import BallScene
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Channel, Episode, Frame
 from tunenet_logs.errors import UsageError

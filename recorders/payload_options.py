@@ -124,7 +124,7 @@ def record_payload_as_asked(arguments: argparse.Namespace, path: Path) -> str:
         min_free_bytes=round(arguments.min_free * 1e6),
     )
     held = "no payload" if arguments.empty else f"{episode.info.truth['payload_mass']:.4f} kg"
-    return f"{held}; {summary.in_words('samples')}"
+    return f"{held}, by {episode.info.source}; {summary.in_words('samples')}"
 
 
 def save_path_as_asked(arguments: argparse.Namespace) -> str:

@@ -65,6 +65,6 @@ def record_shot_as_asked(arguments: argparse.Namespace, path: Path) -> str:
     truth, rig = episode.info.truth, episode.info.rig
     outcome = "through the hoop" if truth["success"] else "not through the hoop"
     return (
-        f"restitution {truth['restitution']:.4f}, from {rig['shot_height_m']:.3f} m, {outcome}; "
-        + summary.in_words("samples")
+        f"restitution {truth['restitution']:.4f}, from {rig['shot_height_m']:.3f} m, {outcome}, by "
+        f"{episode.info.source}; " + summary.in_words("samples")
     )

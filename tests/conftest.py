@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import chdir, contextmanager, redirect_stderr, redirect_stdout
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -20,6 +21,7 @@ from hypothesis import settings
 from recorders.filmed_drop import FilmOrder, film_drop
 from recorders.session import record_episode
 from recorders.simulated_drop import DropOrder, simulate_drop
+from recorders.simulators.engines import ENGINES, simulated_by
 from tunenet_logs.terminal import Progress
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -45,6 +47,7 @@ _MODULES = {
     "tunenet-train": "analysis.cli.train",
     "tunenet-plan": "analysis.cli.plan",
     "tunenet-eval": "analysis.evaluation.cli",
+    "tunenet-export": "analysis.cli.export",
 }
 
 
@@ -144,3 +147,13 @@ def filmed_log(made: Made) -> Path:
 def drop_log(tmp_path: Path) -> Path:
     """A log of ours: restitution 0.7 from 1 m."""
     return record(tmp_path / "drop.mcap", restitution=0.7, height_m=1.0)
+
+
+@pytest.fixture(params=ENGINES)
+def each_engine(request: pytest.FixtureRequest) -> Iterator[str]:
+    """Every engine, one after another: what a test simulates without a choice is done by it."""
+    name = request.param
+    if find_spec(name) is None:
+        pytest.skip(f"{name} is not installed: it has no wheels for this Python or platform")
+    with simulated_by(name):
+        yield name

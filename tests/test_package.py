@@ -3,27 +3,19 @@
 from __future__ import annotations
 
 import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
+from tests.wheel import PACKAGES, ROOT, built_wheel
 
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("wheel")
-    for name in ("tunenet_logs", "recorders", "analysis"):
-        shutil.copytree(ROOT / name, folder / "tree" / name)
-    for name in ("pyproject.toml", "README.md", "LICENSE", "THIRD_PARTY.md"):
-        shutil.copy(ROOT / name, folder / "tree")
-    build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "-o", folder]
-    build.append(str(folder / "tree"))
-    subprocess.run(build, check=True, capture_output=True, timeout=300)
-    (wheel,) = folder.glob("*.whl")
+    wheel = built_wheel(folder)
     pip = [sys.executable, "-m", "pip", "install", "--no-deps", "--no-index"]
     subprocess.run([*pip, "--target", folder / "site", wheel], check=True, capture_output=True)
     return folder / "site"
@@ -32,7 +24,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_wheel_holds_every_file(installed: Path):
     wanted = {
         path.relative_to(ROOT)
-        for name in ("tunenet_logs", "recorders", "analysis")
+        for name in PACKAGES
         for path in (ROOT / name).rglob("*")
         if path.is_file() and "__pycache__" not in path.parts
     }

@@ -14,6 +14,7 @@ from analysis.campaign.rates import overall_rates
 from analysis.selection import Options, Selection
 from analysis.tuning import tune_log
 from tests.conftest import BIN, ROOT, Command
+from tests.engines import needs_pybullet
 from tunenet_logs.terminal import Progress
 
 FOLDER = ROOT / "sample_logs"
@@ -56,6 +57,7 @@ def test_the_payload_is_weighed_with_its_tare():
     assert low < 0.8 < high
 
 
+@needs_pybullet
 @pytest.mark.parametrize("name", ["dull", "noisy"])
 def test_the_recorder_writes_a_drop_of_the_samples_again(
     command: Command, tmp_path: Path, name: str

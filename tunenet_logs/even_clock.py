@@ -21,8 +21,9 @@ _USUAL_GAIN = 15.0
 """Log likelihood that a usual rate is worth."""
 
 _SLOWER, _FASTER = 0.05, 0.14
-_LAG = 24
-"""Samples over which a first rate is taken, and over which delays spread as they ever do."""
+LAG = 24
+"""Samples over which a rate is taken where each is late by its own time: delays spread over so
+many as they ever do."""
 
 _BEGIN, _GROW, _NEIGHBOURS = 64, 3, 4
 """Samples that a rate is first sought in, by how much they grow, and rates on each side that are
@@ -141,7 +142,7 @@ def even_clock(arrivals_ns: NDArray[np.int64]) -> EvenClock | None:
 
 
 def _lag(arrivals: Array) -> int:
-    return max(1, min(_LAG, len(arrivals) // 2))
+    return max(1, min(LAG, len(arrivals) // 2))
 
 
 def _straight(arrivals: Array, known: float | None) -> EvenClock:
@@ -187,9 +188,9 @@ def _likeliest(arrivals: Array, known: float | None) -> tuple[Clocks, Ticks]:
     """The likeliest of many rates, and how many ticks it skips up to each sample."""
     count, lag = len(arrivals), _lag(arrivals)
     own = float(np.median(arrivals[lag:] - arrivals[:-lag])) / lag
-    windows = range(0, max(1, count - _LAG + 1), _LAG // 2)
+    windows = range(0, max(1, count - LAG + 1), LAG // 2)
     spreads = [
-        np.ptp(arrivals[at : at + _LAG] - own * np.arange(len(arrivals[at : at + _LAG])))
+        np.ptp(arrivals[at : at + LAG] - own * np.arange(len(arrivals[at : at + LAG])))
         for at in windows
     ]
     scale = max(1.0, float(np.median(spreads)))

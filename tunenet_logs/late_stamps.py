@@ -17,7 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tunenet_logs.even_clock import EvenClock, even_clock
+from tunenet_logs.bursts import is_grid, without_bursts
+from tunenet_logs.changing_rate import changing_rate
+from tunenet_logs.even_clock import LAG, EvenClock, even_clock
 
 STAMPS_NOTE = "stamps"
 """The note of a log's info record that says whose clock a camera's stamps are of."""
@@ -28,35 +30,8 @@ BY_ARRIVALS = "even clock"
 ARRIVALS = (BY_ARRIVALS, "arrival")
 """What it begins with where the times that are read are arrivals."""
 
-_PAUSE_PERIODS = 1.5
-"""A longer step is a pause: half-way between the usual step and that over one missing sample."""
-
-_CLOSE_PERIODS = 0.9
-"""A shorter step belongs to a burst that catches up; an even clock's own jitter is smaller."""
-
-_PUNCTUAL_PERIODS = 0.3
-"""A sample is no later than that where the burst has made up for the pause."""
-
-_PATIENCE_SAMPLES = 3
-"""Samples in a row that are not close, after which what follows a pause is no burst."""
-
 _MIN_SAMPLES = 10
 """Fewer do not tell an even clock's period."""
-
-_SINGLE_FRACTION = 0.1
-"""Of the steps: at least so many go to the very next point of a grid that has points left out."""
-
-_MOST_MEDIAN_FRAMES = 3
-"""Of the median step on a grid: with more, what looks like its frames is how stamps are rounded."""
-
-_NEAR_PERIODS = 8
-"""Longer steps tell nothing of a grid: the error of its period adds up."""
-
-_ROUNDING_NS = 1_100
-"""Of a step between two stamps of whole microseconds, or of ..."""
-
-_ROUNDING_FRACTION = 1e-3
-"""... a frame."""
 
 _ALIKE, _MOSTLY = 0.02, 0.5
 """Of a period: steps that differ by less are alike. Of the steps: as many are like the next one
@@ -83,21 +58,6 @@ _COMPARED, _TELLING = 512, 0.4
 
 MOST_SAMPLES = 50_000
 """Of which a clock is sought: a quarter of an hour of a camera."""
-
-_PARTS, _FEWEST_OF_PART = 8, 10
-"""A rate that changes is sought in so many parts of equal length, with so many samples each."""
-
-_OTHER_RATE = 0.1
-"""Of a rate: parts differ by more where it changes."""
-
-_LAG = 24
-"""Samples over which a rate is taken where each is late by its own time."""
-
-_AT_ONCE, _OFTEN_AT_ONCE = 0.1, 0.2
-"""Of a usual step, and of the steps of a part that is left out because its samples had waited."""
-
-_SURELY = 8.0
-"""Usual deviations of a part's rate that are no change."""
 
 _UNUSUAL = 0.9
 """Quantile to which single long delays and steps are cut where two spreads are compared."""
@@ -175,15 +135,15 @@ def correct_late_stamps(
     if are_arrivals and (clock := clock_behind(stamps_ns, are_arrivals=True)[0]):
         return CorrectedStamps(stamps_ns, clock.stamps_ns, clock)
     steps = np.diff(stamps_ns).astype(np.float64)
-    period, lag = float(np.median(steps)), min(_LAG, len(steps) // 2)
+    period, lag = float(np.median(steps)), min(LAG, len(steps) // 2)
     usual = float(np.median(stamps_ns[lag:] - stamps_ns[:-lag])) / lag
     comes_singly = period > usual / 2
     is_exact = comes_singly and np.mean(np.abs(np.diff(steps)) < _ALIKE * period) > _MOSTLY
-    if comes_singly and _is_grid(steps, period):
-        rates = changing_rate(stamps_ns, 1 if is_exact else _LAG)
+    if comes_singly and is_grid(steps, period):
+        rates = changing_rate(stamps_ns, 1 if is_exact else LAG)
         return CorrectedStamps(stamps_ns, stamps_ns, rates=rates)
     if is_exact or len(stamps_ns) > MOST_SAMPLES:
-        even = _without_bursts(stamps_ns, steps, period)
+        even = without_bursts(stamps_ns, steps, period)
         return CorrectedStamps(stamps_ns, even, rates=changing_rate(even))
     clock, rates = clock_behind(stamps_ns)
     if clock is None or not _is_worth(clock):
@@ -204,51 +164,12 @@ def clock_behind(
         None where there is none, or none can be told, and how the rate changes then, in words; ""
         where it does not.
     """
-    if rates := changing_rate(arrivals_ns, _LAG):
+    if rates := changing_rate(arrivals_ns, LAG):
         return None, rates
     clock = even_clock(arrivals_ns) if len(arrivals_ns) <= MOST_SAMPLES else None
     if clock is None or np.any(np.diff(clock.stamps_ns) <= 0) or not _explains(clock):
         return None, ""
     return (clock if are_arrivals or _is_telling(clock) else None), ""
-
-
-def changing_rate(stamps_ns: NDArray[np.int64], lag: int = 1) -> str:
-    """How the rate of samples changes, in words: "goes from 60.0 to 30.0 Hz"; "" if it does not.
-
-    By the median step in each of some parts, so neither pauses nor missing samples are a change;
-    nor is what the steps' own scatter makes likely.
-
-    Args:
-        stamps_ns: not decreasing, shape (T,) [ns].
-        lag: samples that a step goes over; many where each is late by its own time.
-    """
-    steps = 1e-6 * (stamps_ns[lag:] - stamps_ns[:-lag]) / lag
-    parts = min(_PARTS, len(steps) // max(_FEWEST_OF_PART, 2 * lag))
-    if parts < 2:
-        return ""
-    # What waited on its way comes at once: no rate of a sensor.
-    at_once = 1e-6 * np.diff(stamps_ns)[: len(steps)] < _AT_ONCE * float(np.median(steps))
-    pieces = [
-        piece
-        for piece, waited in zip(
-            np.array_split(steps, parts), np.array_split(at_once, parts), strict=True
-        )
-        if np.mean(waited) < _OFTEN_AT_ONCE
-    ]
-    if len(pieces) < 2:
-        return ""
-    medians = np.array([np.median(piece) for piece in pieces])
-    # Between one step and the next, neither a slow change nor a sudden one counts.
-    changes = np.diff(steps[::lag])
-    scatter = float(np.median(np.abs(changes - np.median(changes)))) / np.sqrt(2)
-    doubt = _SURELY * scatter / np.sqrt(len(pieces[0]) / lag)
-    low, high = float(medians.min()), float(medians.max())
-    if low <= 0 or high - low <= _OTHER_RATE * high + doubt:
-        return ""
-    first, last = 1e3 / medians[[0, -1]]
-    if abs(first - last) > _OTHER_RATE * max(first, last):
-        return f"goes from {first:.1f} to {last:.1f} Hz"
-    return f"changes between {1e3 / high:.1f} and {1e3 / low:.1f} Hz"
 
 
 def _is_worth(clock: EvenClock) -> bool:
@@ -289,57 +210,3 @@ def _spread(values: NDArray[np.float64]) -> float:
     """Root mean square, single large values cut."""
     size = np.abs(values)
     return float(np.sqrt(np.mean(np.minimum(size, np.quantile(size, _UNUSUAL)) ** 2)))
-
-
-def _without_bursts(
-    stamps_ns: NDArray[np.int64], steps: NDArray[np.float64], period: float
-) -> NDArray[np.int64]:
-    """The stamps with those that follow a pause in a burst as even as before it."""
-    corrected, after = stamps_ns.copy(), 0
-    for pause in np.flatnonzero(steps > _PAUSE_PERIODS * period):
-        end = _caught_up(steps, int(pause), period)
-        if end is None or pause < after:
-            continue
-        inside = slice(pause + 1, end)
-        even = stamps_ns[pause] + np.round(period * np.arange(1, end - pause)).astype(np.int64)
-        corrected[inside] = np.minimum(even, stamps_ns[inside])
-        after = end
-    return corrected
-
-
-def _is_grid(steps: NDArray[np.float64], period: float) -> bool:
-    """Whether all stamps lie on the points of one grid, but for rounding.
-
-    Args:
-        steps: between T samples, shape (T - 1,) [ns].
-        period: the usual step [ns].
-    """
-    frame = float(np.quantile(steps, _SINGLE_FRACTION, method="lower"))
-    if frame <= 0 or period > (_MOST_MEDIAN_FRAMES + 0.5) * frame:
-        return False
-    near = steps[steps < _NEAR_PERIODS * period]
-    counts = np.round(near / frame)
-    if counts.min() < 1:
-        return False
-    frame = float(near.sum() / counts.sum())
-    error = float(np.abs(near - counts * frame).max())
-    return error <= max(_ROUNDING_NS, _ROUNDING_FRACTION * frame)
-
-
-def _caught_up(steps: NDArray[np.float64], pause: int, period: float) -> int | None:
-    """The index behind the first step after a pause that ends where an even clock has it, or None.
-
-    Args:
-        steps: between T samples, shape (T - 1,) [ns].
-        pause: index of the long step.
-        period: the usual step [ns].
-    """
-    lateness, slow = steps[pause] - period, 0
-    for at in range(pause + 1, len(steps)):
-        slow = 0 if steps[at] < _CLOSE_PERIODS * period else slow + 1
-        lateness += steps[at] - period
-        if lateness <= _PUNCTUAL_PERIODS * period:
-            return at + 1
-        if slow == _PATIENCE_SAMPLES:
-            return None
-    return None

@@ -14,7 +14,8 @@ Ticks = NDArray[np.int64]
 
 _HZ = (5, 6, 10, 12, 12.5, 15, 20, 24, 25, 30, 40, 48, 50, 60, 72, 75, 80, 90, 100, 120)
 _HZ += (144, 150, 180, 200, 240, 250, 300, 360, 400, 480, 500, 1000)
-_USUAL_PERIODS = np.concatenate([1e3 / np.array(_HZ), 1001 / np.array(_HZ)])
+_NOMINAL_PERIODS = 1e3 / np.array(_HZ)
+_USUAL_PERIODS = np.concatenate([_NOMINAL_PERIODS, 1.001 * _NOMINAL_PERIODS])
 """What cameras are built for, and the same as television has it [ms]."""
 
 _USUAL_SLACK = 15.0
@@ -22,6 +23,10 @@ _USUAL_SLACK = 15.0
 
 _MOST_LOST = 0.35
 """Of all ticks, at a usual rate."""
+
+_NOMINAL_GAIN = 4.0
+"""Log likelihood that a rate is worth beside the same as television has it: in the few seconds of a
+drop, delays hardly tell them apart."""
 
 _CHOSEN_GAIN = 4.0
 """Log likelihood that the usual rate is worth by which the samples were put on ticks."""
@@ -70,6 +75,7 @@ def period_of(ticks: Ticks, arrivals: Array, clock: Clocks) -> tuple[float, floa
     usual = _USUAL_PERIODS[np.abs(_USUAL_PERIODS - period) < APART / span * period]
     if len(usual):
         costs = costs_of(usual) - _CHOSEN_GAIN * (usual == clock.periods[0])
+        costs -= _NOMINAL_GAIN * np.isin(usual, _NOMINAL_PERIODS)
         if costs.min() < least + _USUAL_SLACK:
             period = float(usual[costs.argmin()])
     return period, float((arrivals - period * ticks).min()), error

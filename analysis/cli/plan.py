@@ -10,6 +10,7 @@ from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from recorders.engine_option import engine_option, in_engine
 from tunenet_logs.commandline import Parser, number, run, whole
 from tunenet_logs.errors import UsageError
 from tunenet_logs.regular_file import real_path
@@ -71,6 +72,7 @@ def build_parser() -> Parser:
         metavar="SD",
         help="with --restitution: its standard deviation (default: .01)",
     )
+    engine_option(parser)
     files = parser.add_argument_group("files (replaced if they exist)")
     files.add_argument(
         "-o", "--json", type=Path, metavar="FILE", help="the plan, with each shot that was tried"
@@ -81,7 +83,7 @@ def build_parser() -> Parser:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point of `tunenet-plan`."""
-    return run(build_parser(), _plan, argv)
+    return run(build_parser(), in_engine(_plan), argv)
 
 
 def _plan(arguments: argparse.Namespace) -> int:
@@ -105,14 +107,16 @@ def _plan(arguments: argparse.Namespace) -> int:
 
     from analysis.planning.plan import plan_shot
     from analysis.planning.plan_report import plan_json, plan_table
+    from analysis.planning.replay import replayed
 
     plan = plan_shot(rig, ball, arguments.shots)
-    print(plan_table(plan))
+    replay = replayed(plan)
+    print(plan_table(plan, replay))
     for warning in plan.warnings:
         print(one_line(f"tunenet-plan: {warning}"), file=sys.stderr)
     if arguments.json is not None:
         with replacing(arguments.json) as partial:
-            partial.write_text(plan_json(plan), "utf-8")
+            partial.write_text(plan_json(plan, replay), "utf-8")
     if arguments.rrd is not None:
         from analysis.review.shot import write_shots
 

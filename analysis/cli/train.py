@@ -10,6 +10,7 @@ from pathlib import Path
 
 from analysis.cli.options import jobs_option, preset_option
 from analysis.registry import EXPERIMENTS, experiment_named
+from recorders.engine_option import engine_option, in_engine
 from tunenet_logs.commandline import Parser, run, whole
 from tunenet_logs.errors import UsageError, WeightsError
 from tunenet_logs.terminal import Progress, one_line
@@ -17,7 +18,9 @@ from tunenet_logs.terminal import Progress, one_line
 _DESCRIPTION = """\
 Simulate pairs of episodes on all cores, train the network on them, and write its
 weights (safetensors, with what they are for inside). The weights that the package
-ships were written by this command, with its defaults."""
+ships were written by this command, with its defaults.
+
+Needs the libraries of the extra 'train': pip install 'tunenet-logs[train]'."""
 
 _EXAMPLES = """\
   tunenet-train drop -o drop.safetensors
@@ -42,6 +45,7 @@ def build_parser() -> Parser:
         help="weights to write (default: TASK-PRESET.safetensors here)",
     )
     preset_option(parser)
+    engine_option(parser)
     add(
         "--pairs",
         type=whole(10, 10_000_000),
@@ -69,7 +73,7 @@ def build_parser() -> Parser:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point of `tunenet-train`."""
-    return run(build_parser(), _train, argv)
+    return run(build_parser(), in_engine(_train), argv)
 
 
 def _train(arguments: argparse.Namespace) -> int:
@@ -81,10 +85,13 @@ def _train(arguments: argparse.Namespace) -> int:
 
     from dataclasses import replace
 
-    import torch  # noqa: F401 (loading it is start-up, not training)
+    from analysis.optional_dependencies import needed
+
+    needed("torch", extra="train")  # loading it is start-up, not training
 
     from analysis.tunenet.checkpoint import save_model
     from analysis.tunenet.training import one_step_error, train
+    from recorders.simulators.engines import engine
 
     presets = experiment_named(arguments.task).presets
     if arguments.preset not in presets:
@@ -102,10 +109,16 @@ def _train(arguments: argparse.Namespace) -> int:
         recipe = replace(recipe, epochs=arguments.epochs)
     model = train(training.network, pairs, recipe, arguments.seed, progress)
     trained = time.perf_counter()
-    notes = {"seed": str(arguments.seed), "pairs": str(len(pairs.proposed)), "recipe": str(recipe)}
+    notes = {
+        "seed": str(arguments.seed),
+        "pairs": str(len(pairs.proposed)),
+        "recipe": str(recipe),
+        "engine": engine().name,
+    }
     digest = save_model(path, model, training.purpose, notes)
     print(
-        f"{one_line(path)}: {len(pairs.values)} rollouts in {simulated - start:.1f} s, "
+        f"{one_line(path)}: {len(pairs.values)} rollouts by {notes['engine']} in "
+        f"{simulated - start:.1f} s, "
         f"{len(pairs.proposed)} pairs x {recipe.epochs} epochs in {trained - simulated:.1f} s, "
         f"{trained - start:.1f} s in all; sha256 {digest}"
     )

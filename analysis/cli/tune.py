@@ -19,6 +19,7 @@ from analysis.cli.options import (
     preset_option,
 )
 from analysis.registry import METHODS, kinds
+from recorders.engine_option import engine_option, in_engine
 from tunenet_logs.commandline import (
     Parser,
     number,
@@ -93,6 +94,7 @@ def build_parser() -> Parser:
     arm_options(parser.add_argument_group("payload of an arm"))
     reading_options(parser.add_argument_group("what a file does not say itself"))
     preset_option(parser)
+    engine_option(parser)
     add(
         "--method",
         choices=METHODS,
@@ -186,7 +188,7 @@ def _hsv(text: str) -> tuple[tuple[int, ...], ...]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point of `tunenet-tune`."""
-    return run(build_parser(), _tune, argv)
+    return run(build_parser(), in_engine(_tune), argv)
 
 
 def _tune(arguments: argparse.Namespace) -> int:
@@ -237,9 +239,12 @@ def _tune(arguments: argparse.Namespace) -> int:
             print(one_line(f"tunenet-tune: {result.row.log}: {remark}"), file=sys.stderr)
         if result.trouble:
             print(one_line(f"tunenet-tune: {result.trouble}"), file=sys.stderr)
+    engines = {one.row.record.simulator["engine"] for one in results if one.row.record.simulator}
+    if engines:
+        print(f"\nsimulated by {', '.join(sorted(engines))}")
     reviews = [one_line(result.review) for result in results if result.review]
     if reviews:
-        print("\nreview: " + "\n        ".join(f"rerun {review}" for review in reviews))
+        print("review: " + "\n        ".join(f"rerun {review}" for review in reviews))
     failed = [one.row.record.verdict == "rejected" or one.trouble for one in results]
     return int(any(failed))
 

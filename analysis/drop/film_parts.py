@@ -19,7 +19,6 @@ from tunenet_logs.gaps import Gap, gaps_in_words, noted_gaps, parts_between
 _MOST_PARTS = 20
 """Of a film that are looked at: a camera that goes so often shows no drop whole."""
 
-
 _HELD_FALLS, _FEWEST_HELD = 0.8, 3
 """Fall times before its release, and pictures in them, in which somebody still holds a ball, where
 one that has bounced before is on its way up."""

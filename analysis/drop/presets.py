@@ -14,9 +14,10 @@ from analysis.tunenet.checkpoint import Purpose
 from analysis.tunenet.network import PaperNetwork, WideNetwork
 from analysis.tunenet.pairs import PairSet, consecutive_pairs, mixed_pairs, observe_all
 from analysis.tunenet.training import Recipe
-from recorders.simulators.base import BallWorld, engine
+from recorders.simulators.base import BallWorld
 from recorders.simulators.contact import CALIBRATED, PAPER, ContactSettings
 from recorders.simulators.drop import DRAG, REAL_BALL, RESTITUTION, SLOPE, DropRig, DropSimulator
+from recorders.simulators.engines import engine
 from tunenet_logs.arrays import Array
 from tunenet_logs.terminal import Progress
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from analysis.cli.options import jobs_option
 from analysis.evaluation.printing import (
     EXPERIMENTS,
+    FULL_ENGINES,
     FULL_REAL,
     FULL_SHOT,
     FULL_VIDEO,
@@ -40,6 +41,8 @@ anew for each seed, and print its figures beside the paper's.
              parameter, its interval, and whether the tuned simulator moves like the ball
   bounce-shot  drop, record, tune, plan, shoot, in a hidden world with air, spin, balls out of
              round and drops that leave the table: the paper's policy and ours
+  engines    drops made by each physics engine and by an exact integrator, tuned in each:
+             effective restitutions and motions beside each other
 
 Needs the libraries of the extra 'eval': pip install 'tunenet-logs[eval]'."""
 
@@ -54,7 +57,8 @@ _EXAMPLES = """\
   tunenet-eval video --targets 20 --sections set-B,bad
   tunenet-eval real-balls --seeds 1 --targets 40     (a few minutes)
   tunenet-eval bounce-shot --seeds 1 --targets 12    (a few minutes)
-  tunenet-eval bounce-shot --seeds 1 --campaign shots   (keeps logs, tunings, outcomes)"""
+  tunenet-eval bounce-shot --seeds 1 --campaign shots   (keeps logs, tunings, outcomes)
+  tunenet-eval engines --seeds 1                     (a few minutes)"""
 
 _METHODS_HELP = f"""\
 methods of the paper: {", ".join(METHODS[:6])}
@@ -71,6 +75,7 @@ _TARGETS = {
     "payload": 300,
     "real-balls": FULL_REAL,
     "bounce-shot": FULL_SHOT,
+    "engines": FULL_ENGINES,
 }
 _WITH_SECTIONS = ("video", "payload", "real-balls", "bounce-shot")
 _WITH_SECTIONS_IN_WORDS = f"{', '.join(_WITH_SECTIONS[:-1])} and {_WITH_SECTIONS[-1]}"
@@ -103,7 +108,7 @@ def build_parser() -> Parser:
         type=whole(1, 100_000),
         metavar="N",
         help="test targets for each seed and set (default: 100; video, real-balls: 200; payload: "
-        "300, and two thirds as many logs in all; bounce-shot: 60 trials a campaign)",
+        "300, and two thirds as many logs in all; bounce-shot: 60 trials a campaign; engines: 10)",
     )
     jobs_option(parser, "processes")
     _options_of_some(parser)

@@ -36,6 +36,9 @@ FULL_REAL = 200
 FULL_SHOT = 60
 """Trials of a campaign; fewer make fewer drops in proportion."""
 
+FULL_ENGINES = 10
+"""Targets of a range for each seed and pair of engines."""
+
 PAYLOAD_SECTIONS = ("masses", "logs")
 """Table 1 of the paper, and logs like a real driver's."""
 
@@ -96,7 +99,9 @@ def _motion(
     from analysis.evaluation.motion.records import motion_csv, motion_json
     from analysis.evaluation.motion.run import run_motion
     from analysis.evaluation.motion.tables import motion_lines
+    from analysis.optional_dependencies import needed
 
+    needed("torch")
     targets = arguments.targets
     rows = run_motion(seeds, targets, arguments.jobs, progress, _effort(arguments))
     return [motion_lines(rows, seeds, targets)], {
@@ -129,8 +134,11 @@ def _payload(
     from analysis.evaluation.payload.masses import MassOrder, MassRow, mass_rows
     from analysis.evaluation.payload.records import payload_csv, payload_json
     from analysis.evaluation.payload.tables import log_table, mass_table
+    from analysis.optional_dependencies import needed
 
     wanted = _sections(arguments, PAYLOAD_SECTIONS)
+    if "masses" in wanted:
+        needed("torch")
     effort = (arguments.pairs, arguments.epochs)
     order = MassOrder(seeds, arguments.targets, arguments.jobs, *effort)
     masses: list[MassRow] = []
@@ -161,8 +169,11 @@ def _bounce_shot(
     from analysis.evaluation.shots.campaign import TrialResult, run_campaign
     from analysis.evaluation.shots.records import shot_csv, shot_json
     from analysis.evaluation.shots.tables import acceptance_table, campaign_table
+    from analysis.optional_dependencies import needed
 
     wanted = _sections(arguments, SHOT_SECTIONS)
+    if "campaigns" in wanted:
+        needed("torch")
     results: list[TrialResult] = []
     bad: list[JudgedDrop] = []
     good: list[JudgedDrop] = []
@@ -275,6 +286,22 @@ def _real_balls(
     }
 
 
+def _engines(
+    arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
+) -> tuple[Iterable[str], Writers]:
+    """Targets of each engine, tuned in each."""
+    from analysis.evaluation.engines.records import engines_csv, engines_json
+    from analysis.evaluation.engines.run import EngineOrder, engine_lines
+    from analysis.evaluation.engines.tables import engine_tables
+
+    order = EngineOrder(seeds, arguments.targets, arguments.jobs)
+    lines = engine_lines(order, progress)
+    return [engine_tables(lines, order)], {
+        "json": lambda path: _write(path, engines_json(lines, order)),
+        "csv": lambda path: _write(path, engines_csv(lines)),
+    }
+
+
 def _sections(arguments: argparse.Namespace, available: Sequence[str]) -> Sequence[str]:
     wanted = _named(arguments, "sections", available) or available
     for name in wanted:
@@ -317,4 +344,5 @@ EXPERIMENTS: dict[str, Experiment] = {
     "video": _video,
     "real-balls": _real_balls,
     "bounce-shot": _bounce_shot,
+    "engines": _engines,
 }

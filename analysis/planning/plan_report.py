@@ -10,6 +10,7 @@ from typing import Any
 
 from analysis.planning.known_ball import KnownBall, SlopeSource
 from analysis.planning.plan import BestShot, Plan
+from analysis.planning.replay import Replay
 
 _SLOPE_SOURCES: Mapping[SlopeSource, str] = {
     "tuned": "tuned",
@@ -22,7 +23,7 @@ _EVERY = 10
 """Of the heights that do not score, every tenth is in the table: all would fill a screen."""
 
 
-def plan_json(plan: Plan) -> str:
+def plan_json(plan: Plan, replay: Replay | None) -> str:
     """The plan as one JSON object; its keys are a contract, new ones may be added."""
     best = plan.best
     shots = [
@@ -58,6 +59,12 @@ def plan_json(plan: Plan) -> str:
             "drag_from": drag_source(plan.ball),
         },
         "best": None if best is None else _best(best),
+        "replay": replay
+        and {
+            "engine": replay.engine,
+            "through": replay.is_through,
+            "miss": _or_none(replay.miss_m),
+        },
         "warnings": list(plan.warnings),
         "shots": shots,
         "rig": asdict(plan.rig),
@@ -83,7 +90,7 @@ def _best(best: BestShot) -> dict[str, Any]:
     }
 
 
-def plan_table(plan: Plan) -> str:
+def plan_table(plan: Plan, replay: Replay | None) -> str:
     """The heights that pass and every tenth of the others, then the best in words."""
     head = f"{'height':>10}  {'miss':>8}  {'to the rim':>10}  outcome"
     lines = [head]
@@ -96,7 +103,8 @@ def plan_table(plan: Plan) -> str:
                 f"{height:8.4f} m  {_miss(float(plan.miss_m[index])):>8}  {room:>10}  "
                 f"{outcome_words(plan, index)}{mark}"
             )
-    return "\n".join([*lines, "", *best_lines(plan), *ball_lines(plan)])
+    again = [replay.words] if replay else []
+    return "\n".join([*lines, "", *best_lines(plan), *again, *ball_lines(plan)])
 
 
 def best_lines(plan: Plan) -> list[str]:

@@ -8,6 +8,7 @@ from recorders.camera.container_stream import ContainerStream
 from recorders.camera.first_bytes import MULTIPART, PLAYLIST
 from recorders.camera.mjpeg_stream import MjpegStream
 from recorders.camera.timed_feed import TimedFeed
+from recorders.closing import closed_on_failure
 from tunenet_logs.errors import CameraError
 
 
@@ -22,14 +23,10 @@ def stream_of(feed: TimedFeed, shown: str, *, live: bool) -> Source:
     Raises:
         CameraError: it brings no video, or nothing in time.
     """
-    try:
-        with answering(shown, feed.deadline):
-            kind = feed.format()
-            if kind == PLAYLIST:
-                raise CameraError("is a playlist (HLS); give the http:// address where it is kept")
-            if kind == MULTIPART:
-                return MjpegStream(feed, shown)
-            return ContainerStream(feed, kind, shown, live=live)
-    except BaseException:
-        feed.close()
-        raise
+    with closed_on_failure(feed), answering(shown, feed.deadline):
+        kind = feed.format()
+        if kind == PLAYLIST:
+            raise CameraError("is a playlist (HLS); give the http:// address where it is kept")
+        if kind == MULTIPART:
+            return MjpegStream(feed, shown)
+        return ContainerStream(feed, kind, shown, live=live)

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, NoReturn
 
 from recorders.camera.base import Shot
 from recorders.camera.connection import answering
-from recorders.camera.mp4_claims import Mp4Claims
 from recorders.camera.packet_stream import PacketStream
 from recorders.camera.timed_feed import TimedFeed
 from tunenet_logs.clock import wall_ns
-from tunenet_logs.errors import CameraError
+from tunenet_logs.errors import CameraError, LogError
+from tunenet_logs.formats.mp4_claims import Mp4Claims
 from tunenet_logs.images import MAX_PIXELS
 
 if TYPE_CHECKING:
@@ -109,8 +109,11 @@ class _Bytes:
                 self._claims.check(data)
         except (OSError, CameraError) as error:
             self.broken = error
-            return b""
-        return data
+        except LogError as error:
+            self.broken = CameraError(str(error))
+        else:
+            return data
+        return b""
 
 
 def _opened(feed: _Bytes, kind: str) -> InputContainer:

@@ -10,6 +10,7 @@ from recorders.camera.address import Address
 from recorders.camera.connection import PASSING, answering, connect, sent_on
 from recorders.camera.login import Login
 from recorders.camera.tls import Trust
+from recorders.closing import closed_on_failure
 from recorders.deadline import Deadline
 from tunenet_logs.errors import CameraAwayError, CameraError
 from tunenet_logs.terminal import short_name
@@ -45,8 +46,6 @@ class HttpCamera:
         """What the host answers with 200 (or another 2xx), its body still to be read.
 
         Its `url` is where that was, behind all redirections.
-
-        Its `url` is where it was in the end.
 
         Args:
             url: absolute, of the same host: what a playlist names may be another.
@@ -84,12 +83,9 @@ class HttpCamera:
         connection = _Connection(parts, deadline, self._trust)
         login = self._login.header("GET", path)
         headers = _HEADERS | ({"Authorization": login} if login else {})
-        try:
+        with closed_on_failure(connection):
             connection.request("GET", path, headers=headers)
             response = connection.getresponse()
-        except BaseException:
-            connection.close()
-            raise
         if connection.sock is not None:  # the answer holds it open, and closes it
             connection.sock.close()
             connection.sock = None

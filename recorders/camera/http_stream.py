@@ -16,6 +16,7 @@ from recorders.camera.http_answer import HttpCamera
 from recorders.camera.mjpeg_stream import MjpegStream
 from recorders.camera.timed_feed import TimedFeed
 from recorders.camera.tls import Trust
+from recorders.closing import closed_on_failure
 from recorders.deadline import Deadline
 from tunenet_logs.errors import CameraError
 
@@ -72,7 +73,7 @@ def open_http(address: Address, timeout_s: float, trust: Trust) -> Source:
         found = _BOUNDARY.search(answer.headers.get("Content-Type", "")[:_LONGEST_KIND])
         boundary = (found.group(1) or found.group(2) or "") if found else ""
         return MjpegStream(feed, address.shown, boundary)
-    with answering(address.shown, deadline):
+    with closed_on_failure(feed), answering(address.shown, deadline):
         kind = feed.format()
         if kind == PLAYLIST:
             return _open_pieces(address, camera, feed, answer.url)

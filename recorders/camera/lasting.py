@@ -23,6 +23,10 @@ one: of its two ends one may be gone, and the other never hears of it."""
 _MOST_HANGING = 4
 """Attempts that were given up and still hang in a library, with which no new one is made."""
 
+_BRIEF_S, _MOST_BRIEF = 1.0, 10
+"""A connection that the camera ends sooner after its first picture is brief, and so many of them in
+a row end it: a drop takes longer, and the camera would be asked again for ever."""
+
 _LOOK_S = 0.1
 """How often to look at the clock while nothing comes."""
 
@@ -67,7 +71,8 @@ class LastingCamera:
 
     Where the connection breaks, a new one is tried, and again until `stall_s` have passed since the
     last shot. Where it falls silent, a new one is tried beside it; the one that delivers first is
-    kept. A camera that ends its stream itself is not asked again.
+    kept. A camera that ends its stream itself is not asked again, nor one that hangs up again and
+    again after a few pictures.
 
     Args:
         first: a connection that was made.
@@ -98,10 +103,10 @@ class LastingCamera:
         self._links = [CameraLink(self._inbox, lambda: first)]
         self._delivering: CameraLink | None = self._links[0]
         self._hanging: list[CameraLink] = []
-        self._connection = 0
+        self._connection = self._brief = 0
         self._damaged = self._dropped = 0
         self._stall_s = stall_s
-        self._heard = self._tried = time.monotonic()
+        self._heard = self._tried = self._began = time.monotonic()
         self._tries_until = until
         self._patience_s = max(stall_s, until - self._heard)
         self._lost = self._not_back = ""
@@ -192,6 +197,7 @@ class LastingCamera:
             assert link.source is not None
             self._delivering, self._source = link, link.source
             self._connection += 1
+            self._began = now
         self._lost = self._not_back = ""
         self._patience_s = self._stall_s
         self._heard, self._tries_until = now, now + self._stall_s
@@ -209,6 +215,12 @@ class LastingCamera:
         self._delivering = None
         if source is not None and not source.returns and not error:
             self.ended = why
+            return
+        is_brief = self._connection > 0 and self._heard - self._began < _BRIEF_S
+        self._brief = self._brief + 1 if is_brief else 0
+        if self._brief == _MOST_BRIEF and self._failure is None:
+            so = f"within {_BRIEF_S:g} s of its first picture"
+            self.ended = f"{why}, {_MOST_BRIEF} times in a row {so}"
         else:
             self._lose(why)
 

@@ -17,6 +17,7 @@ from recorders.camera.rtsp_requests import UNSUPPORTED_TRANSPORT, RtspRequests
 from recorders.camera.rtsp_wire import Reply
 from recorders.camera.sdp import Description
 from recorders.camera.tls import Trust
+from recorders.closing import closed_on_failure
 from recorders.deadline import Deadline
 from tunenet_logs.errors import CameraError
 from tunenet_logs.terminal import short_name
@@ -72,11 +73,8 @@ class RtspClient:
         self.socket = connect(parts.hostname or "", port, deadline, trust if is_encrypted else None)
         self._requests = RtspRequests(self.socket, login)
         self.wire = self._requests.wire
-        try:
+        with closed_on_failure(self):
             self._play(Transport.TCP if is_encrypted else transport)
-        except BaseException:
-            self.close()
-            raise
         deadline.renew(math.inf)
 
     def refresh(self) -> float:

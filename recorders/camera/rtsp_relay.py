@@ -45,7 +45,6 @@ class RtspRelay:
     Args:
         client: the camera, playing; it is closed here.
         silence_s: the longest time without a packet.
-
     """
 
     def __init__(self, client: RtspClient, silence_s: float) -> None:

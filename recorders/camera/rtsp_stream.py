@@ -12,6 +12,7 @@ from recorders.camera.packet_stream import NOT_PARSED, PacketStream
 from recorders.camera.rtsp_client import RtspClient
 from recorders.camera.rtsp_relay import RtspRelay
 from recorders.camera.tls import Trust
+from recorders.closing import closed_on_failure
 from recorders.deadline import Deadline
 from tunenet_logs.errors import CameraAwayError
 
@@ -52,17 +53,19 @@ class RtspStream(PacketStream):
             client = RtspClient(address, deadline, trust, transport)
         self._transport = Transport.UDP if client.ports else Transport.TCP
         self._relay = RtspRelay(client, timeout_s)
-        try:
-            container = av.open(
-                self._relay.url, "r", format="rtsp", options=_OPTIONS, timeout=timeout_s + _SPARE_S
-            )
+        with closed_on_failure(self._relay):
+            try:
+                container = av.open(
+                    self._relay.url,
+                    "r",
+                    format="rtsp",
+                    options=_OPTIONS,
+                    timeout=timeout_s + _SPARE_S,
+                )
+            except FFmpegError as error:
+                why = self._relay.ended_by() or error.strerror
+                raise CameraAwayError(f"{address.shown}: gives no video ({why})") from error
             super().__init__(container, address.shown, timeout_s, is_damaged=self._relay.is_torn)
-        except FFmpegError as error:
-            why = self._relay.ended_by() or error.strerror
-            raise CameraAwayError(f"{address.shown}: gives no video ({why})") from error
-        except BaseException:
-            self._relay.close()
-            raise
 
     def notes(self) -> dict[str, str]:
         """The codec, how packets came, and how many did not."""

@@ -8,6 +8,7 @@ import ssl
 from dataclasses import dataclass
 from hashlib import sha256
 
+from recorders.closing import closed_on_failure
 from recorders.deadline import Deadline, with_deadline
 from tunenet_logs.errors import CameraError, UsageError
 
@@ -80,14 +81,11 @@ def secured(plain: socket.socket, host: str, trust: Trust, deadline: Deadline) -
         context.verify_mode = ssl.CERT_NONE
     context.sslsocket_class = with_deadline(ssl.SSLSocket, deadline)  # type: ignore[assignment]
     plain.settimeout(deadline.next_s())
-    try:
-        connected = context.wrap_socket(plain, server_hostname=host)
-    except ssl.SSLCertVerificationError as error:
-        plain.close()
-        raise UntrustedCertificateError(error.verify_message) from error
-    except BaseException:
-        plain.close()
-        raise
+    with closed_on_failure(plain):
+        try:
+            connected = context.wrap_socket(plain, server_hostname=host)
+        except ssl.SSLCertVerificationError as error:
+            raise UntrustedCertificateError(error.verify_message) from error
     if trust.fingerprint and (shown := fingerprint(connected)) != trust.fingerprint:
         connected.close()
         raise CameraError(

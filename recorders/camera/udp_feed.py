@@ -9,6 +9,7 @@ import select
 import socket
 import struct
 
+from recorders.closing import closed_on_failure
 from recorders.deadline import Deadline
 from tunenet_logs.errors import CameraError, UsageError
 
@@ -97,7 +98,7 @@ class UdpFeed:
         family, place = address[0], address[4]
         group = ipaddress.ip_address(str(place[0]).partition("%")[0])
         listening = socket.socket(family, socket.SOCK_DGRAM)
-        try:
+        with closed_on_failure(listening):
             if group.is_multicast:
                 listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
                 listening.bind(place)  # the group's address: nothing else that comes to the port
@@ -110,9 +111,6 @@ class UdpFeed:
                     raise
                 listening.bind((_ANY_6 if family == socket.AF_INET6 else _ANY_4, port))
                 self._sender = str(place[0])  # it is another machine's: who sends
-        except BaseException:
-            listening.close()
-            raise
         return listening
 
 

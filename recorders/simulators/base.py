@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib import import_module
-from typing import TYPE_CHECKING, Protocol, cast
+from typing import TYPE_CHECKING, Protocol
 
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import UsageError
@@ -79,14 +78,6 @@ class Simulator(Protocol):
         ...
 
 
-DEFAULT = "pybullet"
-
-ENGINES = {
-    DEFAULT: "recorders.simulators.pybullet.engine",
-}
-"""Modules by the engine's name; each has what `Engine` names, and is imported when needed."""
-
-
 class BallWorld(Protocol):
     """A plane at z = 0 and a ball of 1 kg over it; used for many rollouts.
 
@@ -123,6 +114,25 @@ class BallWorld(Protocol):
 
     def steps(self, period_s: float, count: int) -> list[float]:
         """Step `count` times; the centre's height after each [m]."""
+        ...
+
+    def impact(
+        self,
+        velocity_m_s: Array,
+        spin_rad_s: Array,
+        restitution: float,
+        friction: float,
+        inertia_share: float,
+    ) -> tuple[Array, Array]:
+        """Velocity and spin after an impact on the plane, each of shape (3,).
+
+        Args:
+            velocity_m_s: before it, z towards the plane negative, shape (3,).
+            spin_rad_s: before it, shape (3,).
+            restitution: of the impact.
+            friction: Coulomb's coefficient.
+            inertia_share: the ball's moment of inertia over its mass and radius squared.
+        """
         ...
 
 
@@ -169,8 +179,3 @@ class Engine(Protocol):
             joint, shape (T - 1, J, 3).
         """
         ...
-
-
-def engine(name: str = DEFAULT) -> Engine:
-    """One of `ENGINES`, imported when first needed."""
-    return cast("Engine", import_module(ENGINES[name]))

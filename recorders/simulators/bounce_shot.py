@@ -8,8 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from recorders.simulators.base import Parameter
+from recorders.simulators.contact import CALIBRATED
 from recorders.simulators.drop import RESTITUTION, TOPIC
+from recorders.simulators.engines import engine
 from recorders.simulators.shot.contact import BallStates
+from recorders.simulators.shot.engine_impact import solved_by
 from recorders.simulators.shot.flight import COARSE_S, STEP_S, Flights, fly
 from recorders.simulators.shot.rig import ShotRig
 from recorders.simulators.speed_law import SpeedLaw
@@ -18,7 +21,6 @@ from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import UsageError
 
 KIND = "bounce-shot"
-ENGINE = "bounce-shot, from impact to impact"
 
 
 def shoot(rig: ShotRig, law: SpeedLaw, heights_m: Array) -> Flights:
@@ -46,6 +48,27 @@ def passes(
     """
     start = released(rig, heights_m)
     return fly(rig, law, start, shifts, has_rim=False, drags_1_m=drags_1_m, step_s=COARSE_S)
+
+
+def shoot_in_engine(rig: ShotRig, law: SpeedLaw, height_m: float, step_s: float) -> Flights:
+    """One shot with its path and the rim in its way, each impact solved by the chosen engine.
+
+    Args:
+        rig: where.
+        law: of the ball.
+        height_m: how far the ball falls.
+        step_s: between the positions of its path.
+    """
+    return fly(
+        rig,
+        law,
+        released(rig, np.array([height_m])),
+        np.zeros(1),
+        has_rim=True,
+        step_s=step_s,
+        keep=True,
+        impacts=solved_by(engine().ball_world(rig.ball.radius_m, CALIBRATED)),
+    )
 
 
 def released(rig: ShotRig, heights_m: Array) -> BallStates:
@@ -76,13 +99,17 @@ class BounceShot:
     rate_hz: float = 240.0
 
     parameters: tuple[Parameter, ...] = (RESTITUTION,)
-    engine = ENGINE
 
     def __post_init__(self) -> None:
         if not 0.005 <= self.height_m <= 50:
             raise UsageError(f"height_m {self.height_m:g} is not from 0.005 to 50 m")
         if not 1 <= self.rate_hz <= 20_000:
             raise UsageError(f"rate_hz {self.rate_hz:g} is not from 1 to 20000 Hz")
+
+    @property
+    def engine(self) -> str:
+        """What solves the impacts; the flights between them are in closed form."""
+        return engine().name
 
     @property
     def step_hz(self) -> float:
@@ -94,20 +121,12 @@ class BounceShot:
         if set(values) != {RESTITUTION.name}:
             raise UsageError(f"a shot takes the value restitution, not {sorted(values)}")
         law = SpeedLaw(RESTITUTION.checked(values[RESTITUTION.name]), self.slope, self.at_m_s)
-        flights = fly(
-            self.rig,
-            law,
-            released(self.rig, np.array([self.height_m])),
-            np.zeros(1),
-            has_rim=True,
-            step_s=1 / self.step_hz,
-            keep=True,
-        )
+        flights = shoot_in_engine(self.rig, law, self.height_m, 1 / self.step_hz)
         positions_m = flights.positions_m[:: round(self.step_hz / self.rate_hz), 0]
         stamps_ns = np.round(np.arange(len(positions_m)) * (1e9 / self.rate_hz)).astype(np.int64)
         info = EpisodeInfo(
             kind=KIND,
-            source=ENGINE,
+            source=f"{self.engine}, bounce shot",
             rig={
                 "ball_diameter_m": 2 * self.rig.ball.radius_m,
                 "shot_height_m": self.height_m,

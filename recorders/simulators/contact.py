@@ -14,6 +14,12 @@ from dataclasses import dataclass
 
 from recorders.simulators.base import GRAVITY_M_S2
 
+IMPACT_S = 1e-6
+"""Length of a step that solves an impact: gravity changes the speed in it by 1e-5 m/s."""
+
+OVERLAP_M = 1e-9
+"""How far a ball is let into a plane for an impact: engines act only on what touches."""
+
 
 @dataclass(frozen=True)
 class ContactSettings:

@@ -8,9 +8,10 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from recorders.simulators.base import BallWorld, Parameter, engine
+from recorders.simulators.base import BallWorld, Parameter
 from recorders.simulators.closed_form.flight import flown, lands_after_s
-from recorders.simulators.contact import CALIBRATED, ContactSettings
+from recorders.simulators.contact import CALIBRATED, IMPACT_S, OVERLAP_M, ContactSettings
+from recorders.simulators.engines import engine
 from recorders.simulators.speed_law import SpeedLaw
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
@@ -107,12 +108,6 @@ class Flight:
     contact, with the restitution that the ball has at the impact's speed.
     """
 
-    _IMPACT_S = 1e-6
-    """Length of the step that solves a contact: gravity changes the speed in it by 1e-5 m/s."""
-
-    _OVERLAP_M = 1e-9
-    """How far the ball is let into the plane: the engine acts only on what touches."""
-
     def __init__(
         self, world: BallWorld, gap_m: float, speed_m_s: float, law: SpeedLaw, drag_1_m: float
     ) -> None:
@@ -128,22 +123,22 @@ class Flight:
     def advance(self, seconds: float) -> float:
         """Advance by `seconds`; the centre's height then [m]."""
         world, gravity = self._world, self._gravity
-        while seconds > self._IMPACT_S:
+        while seconds > IMPACT_S:
             impact_s = math.inf
             if not self._at_rest:
-                gap_m = max(self._height_m - world.radius_m + self._OVERLAP_M, 0.0)
+                gap_m = max(self._height_m - world.radius_m + OVERLAP_M, 0.0)
                 impact_s = lands_after_s(gap_m, self._speed_m_s, gravity, self._drag_1_m)
             if impact_s > seconds:
                 self._fly(seconds)
                 break
-            if impact_s > self._IMPACT_S:
+            if impact_s > IMPACT_S:
                 self._fly(impact_s)
             world.set_restitution(float(self._law.at(np.array(-self._speed_m_s))))
-            world.set_speed(self._speed_m_s + gravity * self._IMPACT_S)
-            self._height_m, self._speed_m_s = world.step(self._IMPACT_S)
+            world.set_speed(self._speed_m_s + gravity * IMPACT_S)
+            self._height_m, self._speed_m_s = world.step(IMPACT_S)
             if abs(self._speed_m_s) < world.contact.resting_speed_m_s:
                 self._speed_m_s, self._at_rest = 0.0, True
-            seconds -= impact_s + self._IMPACT_S
+            seconds -= impact_s + IMPACT_S
         return self._height_m
 
     def _fly(self, seconds: float) -> None:

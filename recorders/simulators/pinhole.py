@@ -16,7 +16,7 @@ _FARTHEST_M = 1e4
 """Of a camera or its target from the origin: beyond it, a coordinate is a mistake."""
 
 _SIZES_PX = (16, 8192)
-"""Smallest and largest side of a picture: the renderer draws each pixel 16 times in memory."""
+"""Smallest and largest side of a picture: a scene holds three in memory, of 24 bytes a pixel."""
 
 
 @dataclass(frozen=True)

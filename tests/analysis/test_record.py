@@ -15,6 +15,7 @@ from analysis.record import record_of
 from analysis.record_json import to_json
 from analysis.selection import Options
 from analysis.tuning import tune_log
+from recorders.simulators.engines import engine
 from tests.conftest import ROOT, record
 
 
@@ -38,7 +39,7 @@ def test_the_json_has_the_contracts_keys(drop_log: Path):
     assert report["cross_check"]["agrees"] is True
     assert report["cross_check"]["value"] == pytest.approx(0.7, abs=1e-3)
     assert all({"name", "passed", "detail"} == set(check) for check in report["checks"])
-    assert report["simulator"]["engine"].startswith("pybullet ")
+    assert report["simulator"]["engine"] == engine().name
     assert report["simulator"]["preset"] == "default"
     assert report["simulator"]["step_hz"] == pytest.approx(60)
     assert set(report["seconds"]) == {"read", "observe", "tune", "total"}

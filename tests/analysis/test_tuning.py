@@ -15,6 +15,7 @@ from analysis.tuning import tune_log
 from recorders.session import record_episode
 from recorders.simulated_drop import DropOrder, simulate_drop
 from tests.conftest import ROOT, record
+from tests.engines import needs_pybullet
 from tests.strangers import Stranger, bounce_heights, write_poses
 from tunenet_logs.episode import Episode, EpisodeInfo
 from tunenet_logs.terminal import Progress
@@ -104,7 +105,10 @@ def changed_truth(episode: Episode, truth: Mapping[str, float]) -> Episode:
     return replace(episode, info=replace(episode.info, truth=truth))
 
 
-@pytest.mark.parametrize("preset", ["default", "paper", "paper-code"])
+@pytest.mark.parametrize(
+    "preset",
+    ["default", *(pytest.param(name, marks=needs_pybullet) for name in ("paper", "paper-code"))],
+)
 def test_truth_in_the_log_changes_nothing(tmp_path: Path, preset: str):
     episode = simulate_drop(DropOrder(restitution=0.6, height_m=4.0, noise_m=0.001))
     bare = replace(episode, info=EpisodeInfo())
@@ -146,6 +150,7 @@ def test_the_first_guess_is_the_ball_that_does_not_bounce(drop_log: Path):
     assert value(default) == pytest.approx(value(high), abs=1e-4)
 
 
+@needs_pybullet
 def test_the_paper_presets_find_the_engines_number(tmp_path: Path):
     off = []
     for index, truth in enumerate(np.linspace(0.32, 0.68, 10)):
@@ -158,6 +163,7 @@ def test_the_paper_presets_find_the_engines_number(tmp_path: Path):
     assert np.mean(off) < 0.02
 
 
+@needs_pybullet
 def test_a_drop_that_the_papers_network_never_saw_gets_a_warning(drop_log: Path):
     tuning = tune_log(drop_log, Options(preset="paper"))
     assert any("outside" in warning for warning in tuning.warnings)

@@ -18,6 +18,7 @@ from benchmarks.network_worth import (
     tuned_pairs,
 )
 from benchmarks.network_worth_tables import Pair, log_table
+from tests.engines import needs_pybullet
 from tunenet_logs.terminal import Progress
 
 BALL = Pair("balls", 0.7, (0.702, 0.7021), 0.004, (7, 2), (0.2, 0.1))
@@ -64,6 +65,7 @@ def test_a_failure_is_what_a_user_would_notice(values, failures, answered):
     assert line[3] == failures
 
 
+@needs_pybullet
 def test_every_method_is_charged_for_its_rollouts():
     model = shipped_model(TRAININGS["paper-code"].purpose)
     table = rollout_table({1: model}, 3, 1, Progress(quiet=True))

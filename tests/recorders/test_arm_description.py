@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio  # pyright: ignore[reportMissingImports]  (where no type checker looks)
-import pybullet_data
 import pytest
 
 from recorders.simulators.arm.description import JACO_URDF, Arm, Payload, jaco, read_arm
 from recorders.simulators.arm.dynamics import UPRIGHT_GRAVITY_M_S2, joint_efforts_nm
 from recorders.simulators.arm.path import JointPath, circle, random_path
+from tests.engines import needs_pybullet
 from tunenet_logs.errors import UsageError
 
 TURN = 1.5707963267948966
@@ -134,6 +134,7 @@ def test_any_serial_arm_with_fingers_covers_and_a_slide(tmp_path: Path):
     )
 
 
+@needs_pybullet
 @pytest.mark.parametrize(
     ("name", "tool", "tolerance"),
     [
@@ -146,6 +147,8 @@ def test_any_serial_arm_with_fingers_covers_and_a_slide(tmp_path: Path):
 )
 def test_arms_that_others_described(name: str, tool: str, tolerance: float):
     """Another library reads the same file, with its fingers still at 0."""
+    import pybullet_data  # pyright: ignore[reportMissingImports]  (it comes with PyBullet)
+
     file = Path(pybullet_data.getDataPath()) / name
     arm = read_arm(file, tool)
     path = random_path(arm, 3, rate_hz=10)

@@ -11,12 +11,14 @@ from recorders.simulators.arm.description import Payload, jaco
 from recorders.simulators.arm.dynamics import joint_efforts_nm
 from recorders.simulators.arm.path import circle, circle_at, random_path
 from recorders.simulators.arm.payload import PAYLOAD_MASS, TOPIC, PayloadRollout, PayloadSimulator
-from recorders.simulators.arm.rollout import CALIBRATED, PAPER, RolloutSettings, roll_out
+from recorders.simulators.arm.rollout import CALIBRATED, roll_out
 from recorders.simulators.base import GRAVITY_M_S2
 from tunenet_logs.errors import UsageError
 
 ARM = jaco()
 HELD = Payload(0.7, (0.01, 0.02, -0.01))
+
+pytestmark = pytest.mark.usefixtures("each_engine")
 
 
 def rms(values: np.ndarray) -> float:
@@ -32,20 +34,8 @@ def test_a_rollout_applies_the_torques_of_inverse_dynamics():
     assert rms(rollout.effort_nm - where_it_went) < 1e-9
 
 
-def test_the_papers_rollout_differs_by_its_damping_alone():
-    rollout = roll_out(ARM, circle_at(PAPER.times()), HELD, PAPER)
-    efforts = joint_efforts_nm(ARM, rollout.path, HELD, PAPER.gravity_m_s2)
-    assert rms(rollout.effort_nm - efforts) < 0.02
-    undamped = replace(PAPER, is_damped=False)
-    rollout = roll_out(ARM, circle_at(PAPER.times()), HELD, undamped)
-    efforts = joint_efforts_nm(ARM, rollout.path, HELD, PAPER.gravity_m_s2)
-    assert rms(rollout.effort_nm - efforts) < 1e-9
-    assert rollout.effort_nm.shape == (1200, 7)
-
-
-@pytest.mark.parametrize("settings", [CALIBRATED, PAPER], ids=lambda one: one.name)
-def test_rollouts_are_bit_identical_whatever_ran_before(settings: RolloutSettings):
-    short = replace(settings, samples=50)
+def test_rollouts_are_bit_identical_whatever_ran_before():
+    short = replace(CALIBRATED, samples=50)
     path = circle_at(short.times())
     first = roll_out(ARM, path, HELD, short).effort_nm
     roll_out(ARM, circle_at(CALIBRATED.times()), Payload(2.0))

@@ -119,10 +119,12 @@ def test_datagrams_come_from_the_first_sender_alone():
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as camera,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other,
     ):
-        threading.Thread(target=send, daemon=True).start()
+        sending = threading.Thread(target=send, daemon=True)
+        sending.start()
         source = open_source(f"udp://@:{port}", timeout_s=LAST_RESORT_S)
         seen = list(islice(source.frames(), 60))
         source.close()
+        sending.join(LAST_RESORT_S)  # before its sockets are closed
     check_even([shot.told_ns or 0 for shot in seen])
 
 
@@ -138,9 +140,11 @@ def test_rtp_in_datagrams_is_told():
             wait_until(lambda: _is_bound(port), "the port")
             camera.sendto(b"\x80\x60" + bytes(200), ("127.0.0.1", port))
 
-        threading.Thread(target=send, daemon=True).start()
+        sending = threading.Thread(target=send, daemon=True)
+        sending.start()
         with pytest.raises(CameraError, match="sends RTP"):
             open_source(f"udp://127.0.0.1:{port}", timeout_s=LAST_RESORT_S)
+        sending.join(LAST_RESORT_S)
 
 
 def test_a_port_that_is_taken():

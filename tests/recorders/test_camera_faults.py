@@ -13,9 +13,10 @@ from pathlib import Path
 import pytest
 
 from recorders.camera.base import Shot
-from recorders.camera.capture import Limits, record_camera
+from recorders.camera.capture import Limits, Summary, record_camera
 from tests.conftest import Command
 from tests.recorders.live_wait import LAST_RESORT_S
+from tests.recorders.made_source import MadeSource
 from tests.recorders.mjpeg_camera import picture, playing
 from tests.recorders.test_mjpeg_stream import QUIET, numbers, record
 from tunenet_logs.clock import now_ns
@@ -166,32 +167,24 @@ def test_a_part_without_an_end_keeps_what_came_before(tmp_path: Path):
     assert "more than" in episode.info.notes["ended"]
 
 
+def recorded(shots: Iterator[Shot], path: Path) -> Summary:
+    return record_camera(
+        MadeSource(shots),
+        EpisodeInfo(),
+        path,
+        limits=Limits(stall_s=LAST_RESORT_S),
+        overwrite=False,
+        progress=QUIET,
+    )
+
+
 def test_a_failure_in_the_reading_thread_reaches_the_user(tmp_path: Path):
-    class Breaks:
-        """A source with a defect of its own."""
+    def breaking() -> Iterator[Shot]:
+        yield Shot(Frame(1, "jpeg", picture(1)))
+        raise ZeroDivisionError("oops")
 
-        name, live, returns = "camera broken", True, False
-        ended, damaged, dropped = "", 0, 0
-
-        def notes(self):
-            return {}
-
-        def frames(self):
-            yield Shot(Frame(1, "jpeg", picture(1)))
-            raise ZeroDivisionError("oops")
-
-        def close(self):
-            pass
-
-    with pytest.raises(CameraError, match=r"camera broken: .*ZeroDivisionError.*1 frames before"):
-        record_camera(
-            Breaks(),
-            EpisodeInfo(),
-            tmp_path / "a.mcap",
-            limits=Limits(stall_s=LAST_RESORT_S),
-            overwrite=False,
-            progress=QUIET,
-        )
+    with pytest.raises(CameraError, match=r"camera made up: .*ZeroDivisionError.*1 frames before"):
+        recorded(breaking(), tmp_path / "a.mcap")
     assert len(list(read_episode(tmp_path / "a.mcap").frames())) == 1
 
 
@@ -200,31 +193,11 @@ def test_late_is_what_waits_to_be_written(
     tmp_path: Path, arrivals_s: tuple[int, ...], is_late: bool
 ):
     """A picture that is known to be whole by the next one alone does not wait meanwhile."""
-
-    class Waited:
-        """A source whose pictures came at other times than now."""
-
-        name, live, returns = "camera", True, False
-        ended, damaged, dropped = "", 0, 0
-
-        def notes(self):
-            return {}
-
-        def frames(self):
-            for number, arrival_s in enumerate(arrivals_s):
-                yield Shot(Frame(now_ns() + arrival_s * 10**9, "jpeg", picture(number)))
-
-        def close(self):
-            pass
-
-    summary = record_camera(
-        Waited(),
-        EpisodeInfo(),
-        tmp_path / "a.mcap",
-        limits=Limits(stall_s=LAST_RESORT_S),
-        overwrite=False,
-        progress=QUIET,
+    shots = (
+        Shot(Frame(now_ns() + arrival_s * 10**9, "jpeg", picture(number)))
+        for number, arrival_s in enumerate(arrivals_s)
     )
+    summary = recorded(shots, tmp_path / "a.mcap")
     assert (summary.lag_s > 8) is is_late
     assert ("longest_lag_s" in read_episode(tmp_path / "a.mcap").info.notes) is is_late
 

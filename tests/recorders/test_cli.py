@@ -9,6 +9,7 @@ import pytest
 
 from recorders.simulated_drop import DropOrder, simulate_drop
 from tests.conftest import Command
+from tests.engines import needs_pybullet
 from tunenet_logs.errors import UsageError
 from tunenet_logs.reader import read_episode
 
@@ -91,6 +92,7 @@ def test_noise_is_what_was_asked_for():
     assert np.std(off) == pytest.approx(0.003, rel=0.1)
 
 
+@needs_pybullet
 def test_the_papers_preset_is_60_hz():
     assert simulate_drop(DropOrder(preset="paper")).signals["/ball/pose"].rate_hz == pytest.approx(
         60

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from recorders.camera.capture import Limits, record_camera
 from recorders.camera.lasting import lasting_camera
 from recorders.camera.sources import open_source
 from tests.conftest import BIN, Command
@@ -21,6 +22,7 @@ from tests.recorders.coming_camera import ComingCamera
 from tests.recorders.live_wait import LAST_RESORT_S, ending, wait_until
 from tests.recorders.mjpeg_camera import picture
 from tests.recorders.test_camera_faults import STREAM
+from tests.recorders.test_mjpeg_stream import QUIET
 from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.errors import CameraError
 from tunenet_logs.gaps import Gap, noted_gaps, parts_between
@@ -225,6 +227,45 @@ def test_a_server_that_hangs_up_at_once_is_not_hurried():
     assert server.calls <= 4  # one each half second
     server.close()
     wait_until(lambda: threading.active_count() <= before, "the threads to end")
+
+
+def test_one_that_hangs_up_after_a_picture_for_ever_ends_it_with_all_that_came(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+):
+    monkeypatch.setattr("recorders.camera.lasting._BETWEEN_S", 0.01)
+    server = Answering(PART)
+    source = lasting_camera(
+        lambda: open_source(server.address), wait_s=0, stall_s=LAST_RESORT_S, say=lambda _text: None
+    )
+    summary = record_camera(
+        source,
+        EpisodeInfo(),
+        tmp_path / "a.mcap",
+        limits=Limits(stall_s=LAST_RESORT_S),
+        overwrite=False,
+        progress=QUIET,
+    )
+    said = "the stream was closed by the camera, 10 times in a row within 1 s of its first picture"
+    assert summary.ended == said
+    assert server.calls == 10
+    episode = read_episode(tmp_path / "a.mcap")
+    assert not episode.warnings
+    assert len(list(episode.frames())) == 10
+    assert episode.info.notes["ended"] == said
+    server.close()
+
+
+def test_one_that_delivers_for_a_while_each_time_is_asked_again(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("recorders.camera.lasting._BETWEEN_S", 0.01)
+    monkeypatch.setattr("recorders.camera.lasting._BRIEF_S", 0.0)
+    server = Answering(PART)
+    source = lasting_camera(
+        lambda: open_source(server.address), wait_s=0, stall_s=LAST_RESORT_S, say=lambda _text: None
+    )
+    shots = source.frames()
+    assert [next(shots).connection for _ in range(12)] == list(range(1, 13))
+    source.close()
+    server.close()
 
 
 def test_what_is_final_ends_it_and_keeps_what_came():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import resource
 import signal
+import socket
 import subprocess
 import threading
 from contextlib import suppress
@@ -15,8 +16,9 @@ from recorders.camera.multipart import MultipartParser
 from recorders.camera.opening import opened_within
 from recorders.camera.sources import open_source
 from tests.conftest import BIN, Command
-from tests.recorders.hostile_cameras import CONTINUE, MOVED, OK, sending
+from tests.recorders.hostile_cameras import CONTINUE, MOVED, OK, sending, serving_each
 from tests.recorders.live_wait import LAST_RESORT_S, ending, wait_until
+from tests.recorders.made_source import MadeSource
 from tests.recorders.mjpeg_camera import picture
 from tunenet_logs.errors import CameraError
 from tunenet_logs.measured_rate import FASTEST_CAMERA_HZ, FASTEST_HZ, measured_hz
@@ -106,14 +108,14 @@ def test_work_grows_with_the_bytes_alone(boundary: str, head: bytes, again: byte
 
 @pytest.mark.parametrize("scheme", ["http", "rtsp", "https", "rtsps"])
 def test_ctrl_c_while_a_camera_is_opened(tmp_path: Path, scheme: str):
-    with sending(b"", b"") as url:
-        words = [BIN / "tunenet-record", "--camera", url.replace("http", scheme, 1)]
+    with serving_each(silent) as place:
+        words = [BIN / "tunenet-record", "--camera", f"{scheme}://{place}/video"]
         process = subprocess.Popen(
             [*words, "--stall", "600"],
             cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         )  # fmt: skip
         with ending(process):
-            wait_for_thread(process.pid)
+            wait_for_thread(process)
             process.send_signal(signal.SIGINT)
             _, err = process.communicate(timeout=LAST_RESORT_S)
     assert process.returncode == 130
@@ -121,37 +123,33 @@ def test_ctrl_c_while_a_camera_is_opened(tmp_path: Path, scheme: str):
     assert not list(tmp_path.iterdir())
 
 
-def wait_for_thread(pid: int) -> None:
+def silent(_caller: socket.socket, ended: threading.Event) -> None:
+    """Takes the call, and says nothing."""
+    ended.wait(LAST_RESORT_S)
+
+
+def wait_for_thread(process: subprocess.Popen[str]) -> None:
     """Until a process has two threads: one waits, the other opens."""
-    tasks = Path(f"/proc/{pid}/task")
-    wait_until(lambda: len(list(tasks.iterdir())) > 1, "the thread that opens the camera")
+    tasks = Path(f"/proc/{process.pid}/task")
+
+    def opens() -> bool:
+        assert process.poll() is None, process.communicate()
+        return len(list(tasks.iterdir())) > 1
+
+    wait_until(opens, "the thread that opens the camera")
 
 
 def test_what_opens_too_late_is_closed():
-    class Late:
-        name, live, returns = "late", True, False
-        ended, damaged, dropped = "", 0, 0
-        closed = threading.Event()
+    late, may_open = MadeSource(iter(())), threading.Event()
 
-        def notes(self):
-            return {}
-
-        def frames(self):
-            return iter(())
-
-        def close(self):
-            self.closed.set()
-
-    may_open = threading.Event()
-
-    def opening() -> Late:
+    def opening() -> MadeSource:
         may_open.wait(LAST_RESORT_S)
-        return Late()
+        return late
 
     with pytest.raises(CameraError, match=r"late: cannot be opened within 0\.01 s"):
         opened_within(0.01, "late", opening)
     may_open.set()
-    assert Late.closed.wait(LAST_RESORT_S)
+    assert late.closed.wait(LAST_RESORT_S)
 
 
 def test_a_burst_has_a_true_rate_or_none():

@@ -11,7 +11,9 @@ from recorders.simulated_payload import PayloadOrder, simulate_payload
 from recorders.simulators.arm.description import JACO_URDF, Payload, jaco
 from recorders.simulators.arm.dynamics import joint_efforts_nm
 from recorders.simulators.arm.path import circle, path_from_file
+from recorders.simulators.engines import engine
 from tests.conftest import Command
+from tests.engines import needs_pybullet
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import UsageError
 from tunenet_logs.reader import read_episode
@@ -28,7 +30,8 @@ def test_records_what_was_asked_for(command: Command, tmp_path: Path):
     log = tmp_path / "a.mcap"
     result = command(*PAYLOAD, "--mass", 0.62, "--com", "0.03,0,-0.01", "-o", log)
     assert result.returncode == 0, result.stderr
-    assert "0.6200 kg; 300 samples captured, 300 written, 0 dropped" in result.stdout
+    made = f"0.6200 kg, by {engine().name}, inverse dynamics"
+    assert f"{made}; 300 samples captured, 300 written, 0 dropped" in result.stdout
     episode = read_episode(log)
     assert episode.info.kind == "payload"
     assert episode.info.truth == {
@@ -88,6 +91,7 @@ def test_another_arm_by_its_file(command: Command, tmp_path: Path):
     assert read_episode(tmp_path / "a.mcap").info.notes["path"] == "random"
 
 
+@needs_pybullet
 def test_the_papers_preset_is_a_rollout_at_240_hz():
     episode = simulate_payload(PayloadOrder(mass_kg=0.4, preset="paper"))
     assert efforts(episode).shape == (1200, 7)

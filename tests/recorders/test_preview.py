@@ -195,6 +195,7 @@ def test_a_file_has_none(command: Command, tmp_path: Path):
     assert [one.name for one in tmp_path.iterdir()] == ["a.mp4"]
 
 
+@pytest.mark.slow
 def test_a_request_that_drips_and_too_many_of_them_are_ended(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("recorders.loopback_page._REQUEST_SECONDS", 1.0)
     preview = Preview()

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tunenet_logs.changing_rate import changing_rate
 from tunenet_logs.even_clock import EvenClock, even_clock
-from tunenet_logs.late_stamps import changing_rate, correct_late_stamps
+from tunenet_logs.late_stamps import correct_late_stamps
 
 DELAYS = ("up to 40 ms", "exponential", "bursts")
 
@@ -52,6 +53,12 @@ def test_where_all_samples_come_each_is_put_on_its_tick(delay: str, rate_hz: flo
         assert clock.rate_hz == pytest.approx(rate_hz, rel=4e-3)
         errors.append(np.std((clock.stamps - taken)[sure]))
     assert np.mean(errors) < (0.3 if rate_hz != 27.3 else 1.5)  # a usual rate is known exactly
+
+
+def test_what_delays_do_not_tell_apart_is_not_taken_for_television_s_rate():
+    rates_hz = [found(arrivals(seed, 60, "up to 40 ms")[2]).rate_hz for seed in range(16)]
+    assert np.count_nonzero(np.isclose(rates_hz, 60, rtol=1e-6)) >= 14
+    assert found(arrivals(0, 60 / 1.001, "exponential")[2]).rate_hz == pytest.approx(60 / 1.001)
 
 
 @pytest.mark.parametrize("delay", DELAYS)

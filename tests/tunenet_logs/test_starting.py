@@ -54,6 +54,14 @@ def start(folder: Path, code: str, *, ignored: int = 0) -> subprocess.Popen[str]
     )  # fmt: skip
 
 
+def ended(folder: Path, command: str, code: str = AS_IT) -> tuple[int, str]:
+    """Exit code and standard error of a command that ends by itself."""
+    (folder / "command.py").write_text(command)
+    process = start(folder, code)
+    _, err = process.communicate(timeout=60)
+    return process.returncode, err
+
+
 def wait_for(process: subprocess.Popen[str], line: str) -> None:
     assert process.stdout is not None
     assert process.stdout.readline() == f"{line}\n"
@@ -87,18 +95,16 @@ def test_a_signal_amid_a_library_s_import_is_no_error_of_the_library(tmp_path: P
 
 
 def test_a_signal_that_a_destructor_would_swallow_still_ends_the_command(tmp_path: Path):
-    (tmp_path / "command.py").write_text(
+    command = (
         "import os, time\n"
         "from tunenet_logs.commandline import Parser, run\n"
         "class Slow:\n"
         "    def __del__(self):\n"
         "        os.kill(os.getpid(), 15)\n        time.sleep(0.1)\n"
-        "def body(_):\n    Slow()\n    time.sleep(60)\n    return 0\n"
+        "def body(_):\n    Slow()\n    time.sleep(90)\n    return 0\n"
         "def main():\n    return run(Parser('it', '', ''), body, [])\n"
     )
-    process = start(tmp_path, AS_IT)
-    _, err = process.communicate(timeout=40)
-    assert (process.returncode, err) == (143, "it: terminated\n")
+    assert ended(tmp_path, command) == (143, "it: terminated\n")
 
 
 def test_nohup_is_heeded(tmp_path: Path):
@@ -130,7 +136,7 @@ def test_a_signal_while_a_pool_starts_is_one_line(tmp_path: Path, number: int):
 
 
 def test_what_libraries_print_past_python_is_not_heard(tmp_path: Path):
-    (tmp_path / "command.py").write_text(
+    command = (
         "import os, sys\nimport cv2, numpy as np\n"
         "def main():\n"
         "    picture = bytearray(cv2.imencode('.png', np.ones((9, 9), np.uint8))[1].tobytes())\n"
@@ -139,8 +145,7 @@ def test_what_libraries_print_past_python_is_not_heard(tmp_path: Path):
         "    np.float64(1e308) * np.float64(10)\n"
         "    print('it: ours', file=sys.stderr)\n    return 0\n"
     )
-    process = start(tmp_path, AS_IT)
-    _, err = process.communicate(timeout=60)
-    assert (process.returncode, err) == (0, "it: ours\n")
-    process = start(tmp_path, "import sys; sys.argv.append('--debug'); " + AS_IT)
-    assert "libpng" in process.communicate(timeout=60)[1]
+    assert ended(tmp_path, command) == (0, "it: ours\n")
+    assert (
+        "libpng" in ended(tmp_path, command, f"import sys; sys.argv.append('--debug'); {AS_IT}")[1]
+    )

@@ -14,6 +14,7 @@ import numpy as np
 
 from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame
 from tunenet_logs.errors import LogError
+from tunenet_logs.formats.mp4_claims import CheckedFile
 from tunenet_logs.formats.read_options import AS_IT_SAYS, ReadOptions
 from tunenet_logs.formats.video_clock import StoredTimes, VideoClock, clock_of
 from tunenet_logs.images import FREE_VIDEO_PIXELS, MAX_PIXELS, VIDEO_PIXELS_A_BYTE
@@ -271,8 +272,13 @@ def _opened(path: Path) -> Iterator[InputContainer]:
         with open_regular(path) as file:
             form = "mjpeg" if file.read(3) == _JPEG_START else None
             file.seek(0)
-            with av.open(file, "r", format=form, options=options) as container:
-                yield container
+            checked = CheckedFile(file)
+            try:
+                with av.open(checked, "r", format=form, options=options) as container:
+                    yield container
+            finally:
+                if checked.refused is not None:
+                    raise LogError(f"{path}: {checked.refused}; cut the drop out of it")
     except (FFmpegError, ValueError, OverflowError, MemoryError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise LogError(f"{path}: is no video that can be read ({reason})") from error

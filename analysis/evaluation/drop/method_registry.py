@@ -174,9 +174,10 @@ def choose_methods(names: Iterable[str] | None) -> MethodRegistry:
     for name in sorted(wanted.difference(NAMES)):
         raise UsageError(f"there is no method {name!r}; there is: {', '.join(NAMES)}")
     chosen = {name: needs for name, needs in _ALL.items() if name in wanted}
-    for library in sorted({library for needs in chosen.values() for library in needs.libraries}):
-        needed(library)
     networks = frozenset(network for needs in chosen.values() for network in needs.networks)
+    libraries = {library for needs in chosen.values() for library in needs.libraries}
+    for library in sorted(libraries | {"torch"} if networks else libraries):
+        needed(library)
     return MethodRegistry(tuple(chosen), networks)
 
 

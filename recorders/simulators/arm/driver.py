@@ -13,7 +13,7 @@ from recorders.simulators.arm.disturbances import Disturbances
 from recorders.simulators.arm.dynamics import joint_efforts_nm
 from recorders.simulators.arm.path import JointPath
 from recorders.simulators.arm.payload import joint_signals, payload_info
-from recorders.simulators.base import engine
+from recorders.simulators.engines import engine
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import UsageError

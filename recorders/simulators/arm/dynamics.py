@@ -6,7 +6,8 @@ import numpy as np
 
 from recorders.simulators.arm.description import Arm, Payload
 from recorders.simulators.arm.path import JointPath
-from recorders.simulators.base import GRAVITY_M_S2, engine
+from recorders.simulators.base import GRAVITY_M_S2
+from recorders.simulators.engines import engine
 from tunenet_logs.arrays import Array
 
 UPRIGHT_GRAVITY_M_S2 = (0.0, 0.0, -GRAVITY_M_S2)

@@ -11,7 +11,8 @@ from recorders.simulators.arm.description import Arm, Payload
 from recorders.simulators.arm.dynamics import UPRIGHT_GRAVITY_M_S2, joint_efforts_nm
 from recorders.simulators.arm.path import JointPath
 from recorders.simulators.arm.rollout import CALIBRATED, RolloutSettings, roll_out
-from recorders.simulators.base import Parameter, engine
+from recorders.simulators.base import Parameter
+from recorders.simulators.engines import engine
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import UsageError

@@ -9,7 +9,7 @@ import numpy as np
 from recorders.simulators.arm.description import Arm, Payload
 from recorders.simulators.arm.dynamics import UPRIGHT_GRAVITY_M_S2
 from recorders.simulators.arm.path import JointPath
-from recorders.simulators.base import engine
+from recorders.simulators.engines import engine
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import UsageError
 

@@ -11,13 +11,13 @@ import tempfile
 import weakref
 from collections.abc import Mapping
 from functools import cache
-from importlib.metadata import version
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from recorders.simulators.contact import ContactSettings
+from recorders.simulators.contact import IMPACT_S, OVERLAP_M, ContactSettings
+from recorders.simulators.installed import named_version
 from tunenet_logs.arrays import Array
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from recorders.simulators.arm.path import JointPath
     from recorders.simulators.arm.rollout import RolloutSettings
 
-name = f"pybullet {version('pybullet')}"
+name = named_version("pybullet", "pybullet-arm64")
 
 _USUAL_CONTACT_DISTANCE_M = 0.02
 """Bullet's default. It is one global of the process, so it must be set even to its default."""
@@ -81,7 +81,9 @@ class BulletBallWorld:
         self._body = _keywords(contact, _BODY_KEYWORDS)
         # Bullet multiplies the two restitutions, and a plane's is 0 by default.
         plane = bullet.createMultiBody(0, ground, physicsClientId=client)
-        bullet.changeDynamics(plane, -1, restitution=1.0, **self._body, physicsClientId=client)
+        bullet.changeDynamics(
+            plane, -1, restitution=1.0, lateralFriction=1.0, **self._body, physicsClientId=client
+        )
         self._ball = bullet.createMultiBody(1.0, sphere, physicsClientId=client)
         self._fresh = bullet.saveState(physicsClientId=client)
 
@@ -136,6 +138,33 @@ class BulletBallWorld:
             position, _ = pose(ball, physicsClientId=client)
             heights_m.append(position[2])
         return heights_m
+
+    def impact(
+        self,
+        velocity_m_s: Array,
+        spin_rad_s: Array,
+        restitution: float,
+        friction: float,
+        inertia_share: float,
+    ) -> tuple[Array, Array]:
+        """See `BallWorld`."""
+        bullet, client, ball = self._bullet, self._client, self._ball
+        self.place(-OVERLAP_M, restitution)
+        moment = inertia_share * self.radius_m**2
+        bullet.changeDynamics(
+            ball,
+            -1,
+            lateralFriction=friction,
+            localInertiaDiagonal=[moment] * 3,
+            physicsClientId=client,
+        )
+        kick = np.array([0.0, 0.0, self.contact.gravity_m_s2 * IMPACT_S])
+        bullet.resetBaseVelocity(
+            ball, (velocity_m_s + kick).tolist(), spin_rad_s.tolist(), physicsClientId=client
+        )
+        self.step(IMPACT_S)
+        velocity, spin = bullet.getBaseVelocity(ball, physicsClientId=client)
+        return np.array(velocity), np.array(spin)
 
 
 ball_world = BulletBallWorld

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -71,6 +72,10 @@ def collide(
     balls.velocity_m_s[which] = velocity + pushed[:, None] * normals - along
     torque = np.cross(-normals, -along)
     balls.spin_rad_s[which] = spin + torque / (inertia_share * radius_m)
+
+
+Collide = Callable[[BallStates, NDArray[np.int64], Array, Array, float, float, float], None]
+"""What `collide` does."""
 
 
 class Surface(Protocol):

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from recorders.simulators.shot.contact import BallStates, Board, Rim, Surface, collide
+from recorders.simulators.shot.contact import BallStates, Board, Collide, Rim, Surface, collide
 from recorders.simulators.shot.rig import ShotRig
 from recorders.simulators.speed_law import SpeedLaw
 from tunenet_logs.arrays import Array
@@ -72,6 +72,7 @@ def fly(
     drags_1_m: Array | None = None,
     step_s: float = STEP_S,
     keep: bool = False,
+    impacts: Collide = collide,
 ) -> Flights:
     """Let balls go and follow each until it is below the hoop.
 
@@ -84,10 +85,11 @@ def fly(
         drags_1_m: of each ball, shape (N,); the rig's ball's if None.
         step_s: between positions.
         keep: whether to return the positions.
+        impacts: how they are solved.
     """
     if drags_1_m is None:
         drags_1_m = np.full(len(shifts), rig.ball.air_drag_1_m)
-    run = _Run(rig, law, released, shifts, drags_1_m, has_rim)
+    run = _Run(rig, law, released, shifts, drags_1_m, has_rim, impacts)
     kept = [released.position_m.copy()] if keep else []
     for _ in range(int(np.ceil(_longest_s(rig, released, drags_1_m) / step_s))):
         run.step(step_s)
@@ -133,7 +135,9 @@ class _Run:
         shifts: Array,
         drags_1_m: Array,
         has_rim: bool,
+        impacts: Collide,
     ) -> None:
+        self._collide = impacts
         self._rig, self._law, self._balls, self._shifts = rig, law, balls, shifts
         self._drags_1_m, self._has_air = drags_1_m, bool(drags_1_m.any())
         self._board, self._rim, self._has_rim = Board(rig), Rim(rig), has_rim
@@ -243,7 +247,9 @@ class _Run:
         else:
             self.has_touched[which] = True
             restitution = np.full(len(which), self._rig.hoop.restitution)
-        collide(balls, which, normals, restitution, friction, ball.radius_m, ball.inertia_share)
+        self._collide(
+            balls, which, normals, restitution, friction, ball.radius_m, ball.inertia_share
+        )
         off = _OFF_M - surface.gaps_m(balls.position_m[which])
         balls.position_m[which] += np.maximum(off, 0.0)[:, None] * normals
 

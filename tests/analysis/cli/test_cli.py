@@ -9,7 +9,9 @@ import pytest
 from tests.conftest import Command
 
 
-@pytest.mark.parametrize("name", ["logs", "record", "tune", "review", "train", "plan", "eval"])
+@pytest.mark.parametrize(
+    "name", ["logs", "record", "tune", "review", "train", "plan", "eval", "export"]
+)
 def test_help_shows_examples(process: Command, name: str):
     result = process(f"tunenet-{name}", "--help")
     assert result.returncode == 0

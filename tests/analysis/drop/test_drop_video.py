@@ -16,6 +16,7 @@ from recorders.session import record_episode
 from recorders.simulated_drop import DropOrder
 from tests.analysis.films import short_film
 from tests.conftest import ROOT, Command, Made, film
+from tests.engines import needs_pybullet
 from tests.recorders.live_wait import LAST_RESORT_S
 from tests.recorders.mjpeg_camera import check_times, playing
 from tests.strangers import Stranger, write_poses
@@ -194,6 +195,7 @@ def test_a_wrong_frame_rate_is_told_by_a_known_height(short: Path, tmp_path: Pat
     assert "frame rate" in (tuning.reason or "")
 
 
+@needs_pybullet
 def test_the_papers_network_on_its_own_kind_of_film(tmp_path: Path):
     """Its network was trained on .3 to .7 from 4 to 5 m, a ball of 0.5 m radius, 100 x 100 px."""
     order = DropOrder(preset="paper", restitution=0.5, height_m=4.0, seed=3)

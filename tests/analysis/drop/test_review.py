@@ -20,6 +20,7 @@ from analysis.tuning import tune_episode, tune_log
 from recorders.simulators.contact import CALIBRATED
 from recorders.simulators.drop import DropRig, DropSimulator
 from tests.conftest import BIN, record
+from tests.engines import needs_pybullet
 from tests.strangers import Stranger, write_poses
 from tunenet_logs.episode import EpisodeInfo
 from tunenet_logs.reader import read_episode
@@ -82,6 +83,7 @@ def test_iterations_can_be_scrubbed_over_a_fixed_observed_curve(tuned: Tuning, t
     assert entities["/step"] >= {"iteration"}
 
 
+@needs_pybullet
 @pytest.mark.parametrize("preset", ["paper", "paper-code"])
 def test_the_papers_presets_have_a_review_too(tmp_path: Path, preset: str):
     path = record(tmp_path / "a.mcap", preset="paper", restitution=0.5, height_m=4.0)
@@ -154,6 +156,7 @@ def test_the_simulated_curve_of_the_result_lies_on_the_observed_one(tuned: Tunin
     assert np.abs(off).max() < 1e-3
 
 
+@needs_pybullet
 def test_the_papers_rollouts_lie_over_the_observed_curve_too(tmp_path: Path):
     path = record(tmp_path / "a.mcap", preset="paper", restitution=0.55, height_m=4.0)
     data = review_data(tune_log(path, Options(preset="paper-code")))

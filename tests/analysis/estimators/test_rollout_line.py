@@ -19,6 +19,7 @@ from analysis.evaluation.drop.targets import (
 from analysis.tunenet.checkpoint import shipped_model
 from analysis.tunenet.network import Model
 from recorders.simulators.contact import CALIBRATED, PAPER
+from tests.engines import needs_pybullet
 
 
 @pytest.fixture(scope="module")
@@ -26,6 +27,7 @@ def paper() -> DropProblems:
     return DropProblems(PAPER)
 
 
+@needs_pybullet
 @pytest.mark.parametrize("truth", [0.1, 0.45, 0.7, 0.93])
 def test_a_line_through_two_rollouts_lands_on_the_target(paper: DropProblems, truth: float):
     problem = paper.pose(DropTarget(4.4, 0.5, truth))
@@ -36,13 +38,16 @@ def test_a_line_through_two_rollouts_lands_on_the_target(paper: DropProblems, tr
     assert line.value == pytest.approx(truth, abs=1e-4)
 
 
+@needs_pybullet
 def test_rollouts_that_do_not_differ_make_no_line(paper: DropProblems):
     problem = paper.pose(DropTarget(4.4, 0.5, 0.6))
     misfit = problem.misfit(problem.evaluate(np.array([0.5])))
     assert line_through([(0.5, misfit), (0.5, misfit)], problem) is None
 
 
-@pytest.mark.parametrize("contact", [PAPER, CALIBRATED], ids=lambda one: one.name)
+@pytest.mark.parametrize(
+    "contact", [pytest.param(PAPER, marks=needs_pybullet), CALIBRATED], ids=lambda one: one.name
+)
 @pytest.mark.parametrize(
     ("noise_m", "most"), [(0.0, 1e-4), pytest.param(0.01, 0.002, marks=pytest.mark.slow)]
 )
@@ -57,6 +62,7 @@ def test_five_rollouts_are_enough(contact, noise_m: float, most: float):
     assert np.median(off) < most
 
 
+@needs_pybullet
 @pytest.mark.slow
 def test_more_rollouts_search_near_by(paper: DropProblems):
     estimator = TuneNetThenLine(shipped_model(TRAININGS["paper-code"].purpose))
@@ -67,6 +73,7 @@ def test_more_rollouts_search_near_by(paper: DropProblems):
     assert np.median(off) < 1e-5
 
 
+@needs_pybullet
 @pytest.mark.parametrize("rollouts", [0, 1, 2, 3, 10, 11, 40])
 def test_what_it_spends_is_what_it_was_given(paper: DropProblems, rollouts: int):
     problem = paper.pose(DropTarget(4.2, 0.4, 0.66))
@@ -79,6 +86,7 @@ def test_what_it_spends_is_what_it_was_given(paper: DropProblems, rollouts: int)
     assert all(0 <= step.values[0] <= 1 for step in trace.steps)
 
 
+@needs_pybullet
 def test_a_dead_network_is_helped_by_a_probe(paper: DropProblems):
     """It gives the same place twice, so that the first two rollouts are alike."""
     problem = paper.pose(DropTarget(4.2, 0.4, 0.41))
@@ -87,6 +95,7 @@ def test_a_dead_network_is_helped_by_a_probe(paper: DropProblems):
     assert trace.estimate[0] == pytest.approx(0.41, abs=1e-4)
 
 
+@needs_pybullet
 @pytest.mark.parametrize("truth", [0.7, 0.93])
 def test_a_line_between_two_rollouts_uses_the_longest_beginning_that_fits(truth: float):
     problem = DropProblems(PAPER).pose(DropTarget(4.4, 0.5, truth, noise_m=0.01))

@@ -20,6 +20,7 @@ from recorders.simulators.arm.path import link_positions_m
 from tests.analysis.drop.test_review import contents, verified
 from tests.analysis.payload.test_payload import TWO_JOINTS, record
 from tests.conftest import real
+from tests.engines import needs_pybullet
 from tunenet_logs.arrays import Array
 
 SLIDER = TWO_JOINTS.replace('name="elbow" type="revolute"', 'name="elbow" type="prismatic"')
@@ -137,6 +138,7 @@ def test_every_kind_of_term_has_a_chart(tmp_path: Path):
     assert entities["/terms"] == {"static"}
 
 
+@needs_pybullet
 def test_without_a_fit_there_is_none_to_show(tmp_path: Path):
     episode = simulate_payload(PayloadOrder(mass_kg=0.7, preset="paper"))
     entities = contents(drawn(tune_episode(episode, Options(preset="paper-code")), tmp_path))

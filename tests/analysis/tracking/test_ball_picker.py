@@ -123,6 +123,7 @@ def test_a_mark_counts_from_the_first_picture_whatever_is_left_out(film: Path):
     assert (x, y, at_s) == pytest.approx((160 / pictures.scale, 120 / pictures.scale, 0.25))
 
 
+@pytest.mark.slow
 def test_without_a_mark_it_is_as_without_a_page(film: Path, command: Command):
     with tuning(film) as (page, process):
         assert page.ask("POST", "/without")[0] == 204

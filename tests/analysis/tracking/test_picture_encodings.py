@@ -122,6 +122,7 @@ FORGED = {
 }
 
 
+@pytest.mark.slow
 def test_forged_pictures_cost_no_memory(tmp_path: Path):
     """Twelve that are believed would be over the limit, all in memory."""
     logs = [tmp_path / f"{number}.mcap" for number in range(len(FORGED))]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
@@ -90,11 +91,11 @@ def test_random_cameras_colours_blur_and_noise(seed: int):
 
 
 def test_projection_stands_in_for_rendering(track: Track):
-    """Training data is projected: what it leaves out is a constant, and part of a pixel."""
+    """Training data is projected: what it leaves out is part of a pixel."""
     rng = np.random.default_rng(0)
     projected = projected_track(simulate_drop(ORDER), CAMERA, 0.0, 0.0, rng)
     off = (track.places_px - projected.places_px)[track.found & projected.found]
-    assert np.abs(np.median(off, axis=0)).max() < 1
+    assert np.abs(np.median(off, axis=0)).max() < 0.1
     assert off.std(axis=0).max() < 0.2
 
 
@@ -251,8 +252,11 @@ def test_a_mark_need_not_be_exact_but_near(episode: Episode, track: Track):
     x, y = track.places_px[30]
     seconds = float(track.stamps_ns[30] - track.stamps_ns[0]) * 1e-9
     assert tracked(episode, Hints(ball_at=(x + 30, y - 20, seconds))).found.mean() > 0.95
-    with pytest.raises(NotFoundError, match=f"nothing moves near 5, 5 px .* {x:.0f}, {y:.0f} px"):
+    with pytest.raises(NotFoundError, match="nothing moves near 5, 5 px") as refused:
         tracked(episode, Hints(ball_at=(5.0, 5.0, seconds)))
+    named = re.search(r"the nearest at (\d+), (\d+) px", str(refused.value))
+    assert named is not None
+    assert [float(one) for one in named.groups()] == pytest.approx([x, y], abs=1)
 
 
 def test_nothing_moves(episode: Episode):

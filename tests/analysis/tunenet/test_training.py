@@ -12,6 +12,7 @@ from analysis.drop.presets import TRAININGS
 from analysis.tunenet.network import initial_weights
 from analysis.tunenet.pairs import mixed_pairs
 from analysis.tunenet.training import one_step_error, train
+from tests.engines import needs_pybullet
 from tunenet_logs.terminal import Progress
 
 QUIET = Progress(quiet=True)
@@ -35,6 +36,7 @@ def test_a_short_training_beats_no_training(name: str):
     assert one_step_error(model, fresh) < 0.5 * one_step_error(untrained, fresh)
 
 
+@needs_pybullet
 def test_the_papers_pairs_of_films_show_z_beside_the_pictures_y():
     pairs = film_presets.TRAININGS["paper"].make_pairs(12, 0, 1, QUIET)
     simulated, filmed = pairs.observations[pairs.proposed], pairs.observations[pairs.target]
@@ -57,6 +59,7 @@ def test_the_same_seed_gives_the_same_weights():
     assert not np.array_equal(first.weights["out.weight"], other.weights["out.weight"])
 
 
+@needs_pybullet
 def test_what_one_of_a_pair_lacks_is_not_learnt_from_the_other():
     preset = TRAININGS["paper-code"]
     pairs = preset.make_pairs(50, 0, 1, QUIET)
@@ -73,6 +76,7 @@ def test_what_one_of_a_pair_lacks_is_not_learnt_from_the_other():
     assert not np.array_equal(trained[2], trained[3])
 
 
+@needs_pybullet
 def test_pairs_do_not_depend_on_the_number_of_processes():
     preset = TRAININGS["paper-code"]
     alone, together = (preset.make_pairs(20, 3, jobs, QUIET) for jobs in (1, 2))
@@ -80,6 +84,7 @@ def test_pairs_do_not_depend_on_the_number_of_processes():
     assert np.array_equal(alone.residuals, together.residuals)
 
 
+@needs_pybullet
 def test_the_papers_pairs_share_their_height_and_keep_its_range():
     pairs = TRAININGS["paper-code"].make_pairs(30, 0, 1, QUIET)
     first = pairs.observations[:, 0, 0]

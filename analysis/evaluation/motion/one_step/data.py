@@ -10,8 +10,8 @@ import numpy as np
 from analysis.drop.observations import PAPER_RADIUS_M, PAPER_RATE_HZ, PAPER_SAMPLES
 from analysis.drop.presets import PAPER_HEIGHT_M, PAPER_RESTITUTION
 from analysis.evaluation.drop.targets import DropTarget
-from recorders.simulators.base import engine
 from recorders.simulators.contact import PAPER
+from recorders.simulators.engines import engine
 from tunenet_logs.arrays import Array
 from tunenet_logs.terminal import Progress
 

@@ -4,21 +4,13 @@ from __future__ import annotations
 
 import csv
 import json
-import os
-import signal
-import subprocess
-import sys
-import time
 from dataclasses import replace
-from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
 from analysis.drop.presets import TRAININGS
 from analysis.estimators.base import Estimator, Problem, Step, Trace
-from analysis.evaluation.cli import build_parser, main
 from analysis.evaluation.drop.batches import (
     OverspentError,
     TargetBatch,
@@ -27,7 +19,7 @@ from analysis.evaluation.drop.batches import (
 )
 from analysis.evaluation.drop.curves import error_curves
 from analysis.evaluation.drop.figure import draw_figure
-from analysis.evaluation.drop.method_registry import NAMES, Method, paper_methods, user_methods
+from analysis.evaluation.drop.method_registry import Method, paper_methods, user_methods
 from analysis.evaluation.drop.networks import NETWORKS, Effort
 from analysis.evaluation.drop.published import published_error
 from analysis.evaluation.drop.records import drop_csv, drop_json, drop_rows
@@ -35,12 +27,10 @@ from analysis.evaluation.drop.results import Cell, DropResults, MethodErrors
 from analysis.evaluation.drop.run import DropExperiment, run_drop
 from analysis.evaluation.drop.tables import drop_tables
 from analysis.evaluation.drop.targets import EASY, HARD, DropTarget, draw_targets
-from analysis.evaluation.printing import METHODS
 from analysis.evaluation.text import short
 from analysis.tunenet.checkpoint import shipped_model
 from recorders.simulators.contact import PAPER
-from tests.analysis.drop.test_review import verified
-from tests.conftest import ROOT, Command
+from tests.engines import needs_pybullet
 from tunenet_logs.terminal import Progress
 
 QUIET = Progress(quiet=True)
@@ -107,6 +97,7 @@ def test_small_errors_keep_two_digits(error: float, text: str):
     assert short(error) == text
 
 
+@needs_pybullet
 @pytest.mark.parametrize(
     "method",
     [
@@ -122,6 +113,7 @@ def test_a_target_costs_the_same_whoever_came_before(method: Method):
     assert together.shape == (2, 1 + min(ALLOWED, method.budget))
 
 
+@needs_pybullet
 @pytest.mark.slow
 def test_the_number_of_processes_changes_nothing():
     targets = draw_targets(EASY, 2, seed=5)
@@ -146,6 +138,7 @@ class _Spends(Estimator):
         return Trace((Step(problem.initial, 0), Step(problem.initial, self._told)))
 
 
+@needs_pybullet
 @pytest.mark.parametrize(("taken", "told"), [(4, 4), (4, 2), (2, 3)])
 def test_a_method_that_does_not_pay_is_found_out(taken: int, told: int):
     method = Method("spends", "Spends", "user", _Spends(taken, told), 3)
@@ -153,6 +146,7 @@ def test_a_method_that_does_not_pay_is_found_out(taken: int, told: int):
         errors_of(share(method, draw_targets(EASY, 1, seed=1)))
 
 
+@needs_pybullet
 def test_an_answer_counts_from_the_rollout_on_that_it_was_paid_with():
     method = Method("spends", "Spends", "user", _Spends(2, 2), 3)
     (target,) = draw_targets(EASY, 1, seed=1)
@@ -165,6 +159,7 @@ def results() -> DropResults:
     return run_drop(DropExperiment((1, 2), 2, ("mean", "secant"), 1), QUIET)
 
 
+@needs_pybullet
 @pytest.mark.slow
 def test_every_cell_is_filled_within_its_budget():
     names = ("mean", "direct", "secant", "tunenet-paper-code", "difference")
@@ -183,12 +178,14 @@ def test_every_cell_is_filled_within_its_budget():
     assert [(len(one.mean), len(one.paper)) for one in curves] == [(101, 4)] * 3 + [(101, 0)]
 
 
+@needs_pybullet
 def test_the_secant_finds_what_easy_targets_hide(results: DropResults):
     _, secant = results.of(EASY_CELL)
     assert secant.figures(10).mae < 1e-3
     assert secant.figures(0).mae > 0.02
 
 
+@needs_pybullet
 def test_json_csv_and_table_hold_the_same_figures(results: DropResults):
     told = json.loads(drop_json(results))
     rows = list(csv.DictReader(drop_csv(results).splitlines()))
@@ -207,6 +204,7 @@ def test_json_csv_and_table_hold_the_same_figures(results: DropResults):
     assert max(len(line) for line in table.splitlines()) <= 100
 
 
+@needs_pybullet
 def test_curves_go_on_to_the_end_and_show_each_published_point_once(results: DropResults):
     curves = error_curves(results, "Easy")
     assert {len(curve.mean) for curve in curves} == {11}
@@ -216,6 +214,7 @@ def test_curves_go_on_to_the_end_and_show_each_published_point_once(results: Dro
         assert (curve.mean <= curve.high + 1e-12).all()
 
 
+@needs_pybullet
 def test_the_picture_holds_every_curve_and_point(results: DropResults):
     tall = [replace(one, errors=one.errors * 30) for one in results.of(HARD_CELL)]
     both = replace(results, outcomes=(*results.of(EASY_CELL), *tall))
@@ -228,6 +227,7 @@ def test_the_picture_holds_every_curve_and_point(results: DropResults):
             assert max(shown) <= top
 
 
+@needs_pybullet
 @pytest.mark.slow
 def test_one_target_is_enough_for_all_that_is_told():
     order = DropExperiment((1,), 1, ("mean", "entropy-search"), 1)
@@ -235,6 +235,7 @@ def test_one_target_is_enough_for_all_that_is_told():
         assert one.figures(1).mae == pytest.approx(0, abs=1e-12)
 
 
+@needs_pybullet
 @pytest.mark.slow
 def test_a_users_methods_compete_on_the_calibrated_simulator():
     found = run_drop(DropExperiment((1,), 2, ("secant", "brent"), 1), QUIET)
@@ -242,114 +243,3 @@ def test_a_users_methods_compete_on_the_calibrated_simulator():
         secant, brent = found.of(Cell("drop", "calibrated", "Easy", noise_m))
         assert (secant.allowed, brent.allowed) == (10, most)
         assert secant.figures(10).mae < 0.01
-
-
-def test_the_help_names_every_method():
-    assert METHODS == NAMES
-    text = build_parser().format_help()
-    assert all(name in text for name in NAMES)
-
-
-def test_the_command_writes_what_it_is_asked_for(command: Command, tmp_path: Path):
-    files = {name: tmp_path / f"drop.{name}" for name in ("json", "csv", "png", "rrd")}
-    words = [word for name, path in files.items() for word in (f"--{name}", path)]
-    order = ("drop", "--seeds", 1, "--targets", 1, "--methods", "mean,secant", "--jobs", 1)
-    done = command("tunenet-eval", *order, *words)
-    assert done.returncode == 0, done.stderr
-    assert not done.stderr
-    assert "Easy, the paper's simulator" in done.stdout
-    assert f"rerun {files['rrd']}" in done.stdout
-    assert sorted(tmp_path.iterdir()) == sorted(files.values())
-    picture = cv2.imread(str(files["png"]))
-    assert picture is not None
-    assert picture.shape[1] > 1000
-    assert (picture < 250).any(axis=2).mean() > 0.02  # lines, not an empty page
-    verified(files["rrd"])
-    told = json.loads(files["json"].read_text())
-    assert {one["method"] for one in told["curves"]} == {"mean", "secant"}
-    assert len(files["csv"].read_text().splitlines()) == len(told["rows"]) + 1
-
-
-@pytest.mark.slow
-def test_an_interrupt_ends_it_at_once_and_leaves_nothing(tmp_path: Path):
-    words = ["drop", "--methods", "tpe", "--targets", "1000", "--jobs", "2"]
-    words += ["--json", str(tmp_path / "a.json")]
-    running = subprocess.Popen(
-        [sys.executable, "-m", "analysis.evaluation.cli", *words],
-        cwd=ROOT,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
-    children = Path(f"/proc/{running.pid}/task/{running.pid}/children")
-    try:
-        while running.poll() is None and len(children.read_text().split()) < 3:
-            time.sleep(0.05)
-        os.killpg(running.pid, signal.SIGINT)
-        _, told = running.communicate(timeout=60)
-    finally:
-        if running.poll() is None:
-            os.killpg(running.pid, signal.SIGKILL)
-    assert running.returncode == 130
-    assert told == "tunenet-eval: interrupted\n"
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (("drop", "--methods", "mean,best"), "no method 'best'; there is: mean, entropy-search"),
-        (("drop", "--methods", ""), "--methods names none; there is: mean, entropy-search"),
-        (("drop", "--methods", " , ,"), "--methods names none"),
-        (("drop", "--methods", "difference", "--png", "a.png"), "--png: no method chosen has a"),
-        (("drop", "--methods", "difference", "--rrd", "a.rrd"), "--rrd: no method chosen has a"),
-        (("drop", "--json", "-"), "--json -: is no file"),
-        (("motion", "--csv", "-"), "--csv -: is no file"),
-        (("drop", "--png", "a.jpg"), "a.jpg: --png writes .png"),
-        (("drop", "--rrd", "a"), "a: --rrd writes .rrd"),
-        (("intervals", "--methods", "mean"), "--methods is for drop, not intervals"),
-        (("drop", "--json", "/nowhere/a.json"), "/nowhere: no such folder"),
-        (("drop", "--png", "."), "is a folder; give --png a file"),
-        (("drop", "--json", "a", "--csv", "a"), "both --json and --csv name it"),
-        (("drop", "--seeds", "0"), "not a whole number"),
-        (("drop", "--rollouts", "0"), "not a whole number"),
-        (("drop", "--rollouts", "101"), "--rollouts"),
-        (("motion", "--rollouts", "5"), "--rollouts is for drop, not motion"),
-        (("motion", "--png", "a.png"), "--png is for drop, not motion"),
-        (("motion", "--methods", "mean"), "--methods is for drop"),
-        (("everything",), "invalid choice"),
-        ((), "required"),
-    ],
-)
-def test_wrong_usage_is_one_line_before_any_work(
-    words: tuple[str, ...],
-    says: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-):
-    monkeypatch.chdir(tmp_path)
-    assert main(words) == 2
-    told = capsys.readouterr()
-    assert says in told.err
-    assert told.err.count("\n") == 1
-    assert not told.out
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(
-    ("module", "words"),
-    [("optuna", ("--methods", "tpe")), ("matplotlib", ("--methods", "mean", "--png", "a.png"))],
-)
-def test_a_library_that_is_missing_is_one_line(
-    module: str,
-    words: tuple[str, ...],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setitem(sys.modules, module, None)
-    assert main(("drop", *words)) == 2
-    told = capsys.readouterr().err
-    assert told == (f"tunenet-eval: {module} is not installed; pip install 'tunenet-logs[eval]'\n")

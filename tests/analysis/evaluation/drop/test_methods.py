@@ -26,6 +26,7 @@ from analysis.tunenet.network import Model, PaperNetwork, Scaling, initial_weigh
 from analysis.tunenet.training import train
 from recorders.simulators.base import Simulator
 from recorders.simulators.contact import CALIBRATED, PAPER
+from tests.engines import needs_pybullet
 from tunenet_logs.episode import Episode
 from tunenet_logs.terminal import Progress
 
@@ -90,6 +91,7 @@ def check_laws(trace: Trace, problem: Problem, budget: int) -> None:
         assert (step.values <= high).all()
 
 
+@needs_pybullet
 @pytest.mark.parametrize("budget", [0, 1, 13])
 @each(NAMES)
 def test_no_method_spends_more_than_it_has(solve: Solve, name: str, budget: int):
@@ -102,6 +104,7 @@ def test_no_method_spends_more_than_it_has(solve: Solve, name: str, budget: int)
         assert first == CASE.initial
 
 
+@needs_pybullet
 @each(SEARCHES)
 @pytest.mark.parametrize("initial", [0.0, 1.0])
 def test_the_first_guess_may_be_at_a_bound(solve: Solve, name: str, initial: float):
@@ -110,6 +113,7 @@ def test_the_first_guess_may_be_at_a_bound(solve: Solve, name: str, initial: flo
     assert problem.rollouts > 0
 
 
+@needs_pybullet
 @each(SEARCHES)
 def test_a_target_that_never_bounces_breaks_nothing(solve: Solve, name: str):
     for initial in (0.0, 0.5):
@@ -117,11 +121,13 @@ def test_a_target_that_never_bounces_breaks_nothing(solve: Solve, name: str):
         check_laws(trace, problem, 12)
 
 
+@needs_pybullet
 @each(NAMES)
 def test_the_same_seed_says_the_same(solve: Solve, name: str):
     assert told(solve(name, 13)[0]) == told(solve(name, 13)[0])
 
 
+@needs_pybullet
 @each(["entropy-search", "cma-es", "tpe"])
 def test_another_seed_says_something_else(solve: Solve, name: str):
     assert told(solve(name, 20)[0]) != told(solve(name, 20, seed=1)[0])
@@ -143,6 +149,7 @@ class Silent:
         return replace(episode, info=replace(episode.info, truth={}))
 
 
+@needs_pybullet
 @each(NAMES)
 def test_no_method_reads_the_truth(problems: DropProblems, solve: Solve, name: str):
     method = methods()[name]
@@ -166,6 +173,7 @@ FOUND = {
 }
 
 
+@needs_pybullet
 @each(FOUND)
 def test_a_search_finds_what_is_there(solve: Solve, name: str):
     rollouts, tolerance = FOUND[name]
@@ -174,7 +182,9 @@ def test_a_search_finds_what_is_there(solve: Solve, name: str):
         assert trace.after(rollouts)[0] == pytest.approx(truth, abs=tolerance)
 
 
-@pytest.mark.parametrize("contact", [PAPER, CALIBRATED], ids=["paper", "calibrated"])
+@pytest.mark.parametrize(
+    "contact", [pytest.param(PAPER, marks=needs_pybullet), CALIBRATED], ids=["paper", "calibrated"]
+)
 def test_the_secant_needs_four_rollouts(contact):
     problems = DropProblems(contact)
     for target in draw_targets(EASY, 20, 5):
@@ -182,6 +192,7 @@ def test_the_secant_needs_four_rollouts(contact):
         assert trace.after(4)[0] == pytest.approx(target.truth, abs=3e-4)
 
 
+@needs_pybullet
 def test_the_secant_bears_a_centimetre_of_noise(problems: DropProblems):
     targets = draw_targets(EASY, 20, 5, noise_m=0.01)
     off = [
@@ -190,6 +201,7 @@ def test_the_secant_bears_a_centimetre_of_noise(problems: DropProblems):
     assert np.mean(np.abs(off)) < 0.002
 
 
+@needs_pybullet
 @pytest.mark.slow
 def test_noise_about_a_ball_at_rest_is_no_flight(problems: DropProblems):
     for truth in (0.0, 0.02, 0.04):
@@ -198,6 +210,7 @@ def test_noise_about_a_ball_at_rest_is_no_flight(problems: DropProblems):
             assert FlightSecant().estimate(problem, 4).estimate[0] < 0.1
 
 
+@needs_pybullet
 def test_the_secant_gets_away_from_a_ball_that_does_not_bounce(solve: Solve):
     trace, _ = solve("secant", 6, replace(CASE, initial=0.0))
     assert trace.estimate[0] == pytest.approx(CASE.truth, abs=3e-4)
@@ -207,6 +220,7 @@ def test_the_secant_gets_away_from_a_ball_that_does_not_bounce(solve: Solve):
     assert trace.estimate[0] < 0.01
 
 
+@needs_pybullet
 @pytest.mark.parametrize("initial", [0.05, 0.6])
 @pytest.mark.parametrize("truth", [0.03, 0.0858, 0.1038, 0.12])
 def test_the_secant_finds_flights_too_short_to_be_seen(solve: Solve, truth: float, initial: float):
@@ -218,6 +232,7 @@ def test_the_secant_finds_flights_too_short_to_be_seen(solve: Solve, truth: floa
         assert trace.after(10)[0] == trace.estimate[0]
 
 
+@needs_pybullet
 def test_the_secant_finds_what_lies_above_a_step_too_far(problems: DropProblems):
     low = [one for one in draw_targets(HARD, 100, -3) if 0.1 < one.truth < 0.25]
     assert len(low) > 5
@@ -226,12 +241,14 @@ def test_the_secant_finds_what_lies_above_a_step_too_far(problems: DropProblems)
         assert trace.estimate[0] == pytest.approx(target.truth, abs=2e-3)
 
 
+@needs_pybullet
 def test_the_secant_is_exact_where_the_first_flight_is_clean(problems: DropProblems):
     for target in draw_targets(EASY, 20, -1):
         trace = FlightSecant().estimate(problems.pose(target), 10)
         assert trace.estimate[0] == pytest.approx(target.truth, abs=2e-9)
 
 
+@needs_pybullet
 @pytest.mark.slow
 def test_cma_es_answers_with_its_mean_after_whole_generations(solve: Solve):
     trace, problem = solve("cma-es", 25)
@@ -241,6 +258,7 @@ def test_cma_es_answers_with_its_mean_after_whole_generations(solve: Solve):
     assert not list(Path().glob("outcmaes*"))
 
 
+@needs_pybullet
 @pytest.mark.slow
 def test_entropy_search_stops_when_its_estimate_stays(problems: DropProblems):
     spent = {}
@@ -252,6 +270,7 @@ def test_entropy_search_stops_when_its_estimate_stays(problems: DropProblems):
     assert spent[1] <= spent[2] <= spent[None] == 30
 
 
+@needs_pybullet
 @pytest.mark.slow
 def test_entropy_search_answers_with_bins_of_its_range(problems: DropProblems):
     trace = EntropySearch((0.3, 0.7), 0).estimate(problems.pose(CASE), 10)
@@ -260,6 +279,7 @@ def test_entropy_search_answers_with_bins_of_its_range(problems: DropProblems):
     assert all(np.isclose(bins, step.values[0]).any() for step in trace.steps[1:])
 
 
+@needs_pybullet
 @each(["brent", "least-squares", "tpe"])
 def test_what_keeps_the_best_never_gets_worse(solve: Solve, name: str):
     trace, problem = solve(name, 25)
@@ -269,6 +289,7 @@ def test_what_keeps_the_best_never_gets_worse(solve: Solve, name: str):
     assert costs == sorted(costs, reverse=True)
 
 
+@needs_pybullet
 @pytest.mark.slow
 def test_direct_prediction_learns_the_value_itself(problems: DropProblems):
     pairs = PRESET.make_pairs(200, 0, 1, QUIET)
@@ -299,6 +320,7 @@ def test_rows_of_the_table_have_names_of_their_own():
     assert {one.name for one in rows if one.budget == 0} == {"mean", "direct"}
 
 
+@needs_pybullet
 @pytest.mark.slow
 def test_no_search_is_lost_where_the_first_guess_is_far(problems: DropProblems):
     targets = draw_targets(HARD, 10, 5)

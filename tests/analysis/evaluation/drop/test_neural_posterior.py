@@ -26,6 +26,7 @@ from analysis.evaluation.drop.targets import EASY, DropProblems, DropTarget, dra
 from analysis.evaluation.methods.neural_posterior import GridDensity, NeuralPosterior, middles
 from analysis.evaluation.methods.sbi_network import SbiPosterior, train_posterior
 from recorders.simulators.contact import PAPER
+from tests.engines import needs_pybullet
 from tunenet_logs.terminal import Progress
 
 QUIET = Progress(quiet=True)
@@ -61,6 +62,7 @@ class KnowsTheNoise:
         return -(((values - observation[0] / 10) / 0.02) ** 2) / 2
 
 
+@needs_pybullet
 def test_it_answers_from_the_target_alone_without_a_rollout():
     problem = DropProblems().pose(DropTarget(4.4, 0.3, 0.6))
     estimator = NeuralPosterior(KnowsTheNoise())
@@ -72,6 +74,7 @@ def test_it_answers_from_the_target_alone_without_a_rollout():
     assert (high - low) == pytest.approx(2 * HALF_95 * 0.02, abs=1e-4)
 
 
+@needs_pybullet
 def test_its_share_of_the_work_has_one_column_and_one_interval_a_target():
     targets = tuple(draw_targets(EASY, 2, seed=-6))
     method = Method("npe", "NPE", "user", NeuralPosterior(KnowsTheNoise()), 0)
@@ -186,6 +189,7 @@ def test_without_the_library_it_is_one_line(
     assert told == "tunenet-eval: sbi is not installed; pip install 'tunenet-logs[eval]'\n"
 
 
+@needs_pybullet
 @pytest.mark.slow
 def test_the_number_of_processes_changes_no_posterior(capfd: pytest.CaptureFixture[str]):
     found = [

@@ -22,6 +22,7 @@ from recorders.filmed_drop import FilmOrder, film_drop
 from recorders.simulated_drop import DropOrder
 from recorders.simulators.drop import TOPIC
 from recorders.simulators.pinhole import PinholeCamera
+from tests.engines import needs_pybullet
 from tunenet_logs.terminal import Progress
 
 QUIET = Progress(quiet=True)
@@ -63,6 +64,7 @@ def test_a_simulation_as_seen_does_not_depend_on_the_camera():
     assert places_in_view(-one).max() == 1
 
 
+@needs_pybullet
 def test_what_is_left_of_the_true_simulation_is_noise(films: FilmedProblems):
     problem = films.pose_ours(TARGET)
     noise = 0.2 / np.ptp(100 * films.rows(TARGET))
@@ -74,6 +76,7 @@ def test_what_is_left_of_the_true_simulation_is_noise(films: FilmedProblems):
     assert beside > 3 * noise
 
 
+@needs_pybullet
 def test_both_see_the_same_rows(films: FilmedProblems):
     rows = films.rows(TARGET)
     papers, ours = films.pose_papers(TARGET).target, films.pose_ours(TARGET).target
@@ -93,6 +96,7 @@ def test_a_ball_that_leaves_the_picture_is_not_seen():
     assert np.isfinite(filled(rows)).all()
 
 
+@needs_pybullet
 @pytest.mark.slow
 def test_a_row_is_that_of_a_rendered_and_tracked_clip():
     """Targets are projected, not rendered: what that leaves out is part of a pixel."""
@@ -110,9 +114,11 @@ def test_a_row_is_that_of_a_rendered_and_tracked_clip():
     places = camera.image_from_world(look.episode.signals[TOPIC].values[: len(frames)])
     off = (track.places_px - places[: len(track.places_px)])[track.found]
     assert track.found.mean() > 0.95
-    assert (off - np.median(off, axis=0)).std(axis=0).max() < 0.2
+    # Not the standard deviation: a picture in which the ball meets its shadow may be 2 px off.
+    assert np.quantile(np.abs(off - np.median(off, axis=0)), 0.68, axis=0).max() < 0.2
 
 
+@needs_pybullet
 @pytest.mark.slow
 def test_pairs_are_of_one_height_and_equal_ones_do_not_differ():
     pairs = filmed_pairs(60, 1002, 1, QUIET)
@@ -127,6 +133,7 @@ def test_pairs_are_of_one_height_and_equal_ones_do_not_differ():
     assert rms[~same].mean() > 3 * rms[same].mean()
 
 
+@needs_pybullet
 @pytest.mark.slow
 def test_a_short_training_finds_restitutions_from_rows_alone(films: FilmedProblems):
     model = train_ours_on_films(1003, 1, QUIET, pairs=4000, epochs=20)
@@ -157,6 +164,7 @@ class _Wanders(Estimator):
         return Trace((*judged, Step(np.array([places[-1]]), rollouts)))
 
 
+@needs_pybullet
 def test_the_best_place_that_was_looked_at_is_kept(films: FilmedProblems):
     problem = films.pose_ours(TARGET)
     trace = BestVisited(_Wanders()).estimate(problem, 5)

@@ -31,6 +31,7 @@ from analysis.evaluation.motion.run import (
     tuning_errors,
 )
 from analysis.tunenet.checkpoint import shipped_model
+from tests.engines import needs_pybullet
 from tunenet_logs.terminal import Progress
 
 QUIET = Progress(quiet=True)
@@ -57,6 +58,7 @@ def test_figures_are_means_over_runs_and_steps():
     assert found.percent == pytest.approx(100 * (0.1 + 0 + 0.2 + 0.25) / 4)
 
 
+@needs_pybullet
 @pytest.mark.slow
 def test_zero_and_untuned_rows(tuners: Tuners):
     found = tuning_errors(draw_targets(EASY, 100, 0), tuners, QUIET)
@@ -71,6 +73,7 @@ def test_zero_and_untuned_rows(tuners: Tuners):
     assert 2 < found["tunenet-obs"].percent < 12  # the paper's: 6.03, of one seed
 
 
+@needs_pybullet
 @pytest.mark.slow
 def test_what_gives_the_published_untuned_row():
     rng = np.random.default_rng(1)
@@ -81,6 +84,7 @@ def test_what_gives_the_published_untuned_row():
     assert found.cm == pytest.approx(13.8, rel=0.08)
 
 
+@needs_pybullet
 def test_one_step_from_any_state_is_that_of_an_uninterrupted_run():
     for restitution in (0.3, 0.5, 0.7):
         run = record_states(np.array([4.3]), np.array([restitution]))[0]
@@ -90,6 +94,7 @@ def test_one_step_from_any_state_is_that_of_an_uninterrupted_run():
     assert np.ptp(run[300:, 0]) < 0.05  # the ball came to rest: resting contacts are among them
 
 
+@needs_pybullet
 def test_the_middle_of_the_data_is_what_the_simulator_believes_in():
     drops = training_drops(3, 5, QUIET)
     assert drops.states.shape == (3, 401, 2)
@@ -108,12 +113,14 @@ def test_a_prediction_sees_what_it_is_said_to_see():
     assert predict(still, truth, 0).tolist() == [[1, 1, 1, 1, 1]]
 
 
+@needs_pybullet
 def test_a_rollout_of_the_true_simulator_is_the_truth():
     truth = record_states(np.array([4.7]), np.array([0.6]))
     found = predict(Memoryless(EngineStep(0.6)), truth, 0)
     np.testing.assert_allclose(found, truth[:, 1:, 0], rtol=0, atol=1e-12)
 
 
+@needs_pybullet
 @pytest.mark.slow
 def test_short_training_beats_standing_still(learned: dict[str, MotionError]):
     assert learned["still-ahead"].cm == pytest.approx(1.82, abs=0.15)
@@ -122,6 +129,7 @@ def test_short_training_beats_standing_still(learned: dict[str, MotionError]):
     assert learned["neural-rollout"].cm < 97  # it does not run away
 
 
+@needs_pybullet
 @pytest.mark.slow
 def test_the_hybrid_remembers_the_impacts_that_it_saw():
     drops = training_drops(200, 0, QUIET)
@@ -155,6 +163,7 @@ def test_the_memory_is_that_of_torch():
         np.testing.assert_allclose(memory, wanted[step].numpy(), atol=1e-6)
 
 
+@needs_pybullet
 @pytest.mark.slow
 def test_a_hybrid_that_sees_nothing_cannot_use_the_truth():
     drops = training_drops(4, 0, QUIET)
@@ -165,6 +174,7 @@ def test_a_hybrid_that_sees_nothing_cannot_use_the_truth():
     assert not np.array_equal(predict(hybrid, drops.states, 9), predict(hybrid, other, 9))
 
 
+@needs_pybullet
 def test_a_network_without_weights_leaves_the_simulator_alone():
     sizes = VrnnSizes(8, 2, 8)
     weights = {}
@@ -177,6 +187,7 @@ def test_a_network_without_weights_leaves_the_simulator_alone():
     assert np.array_equal(predict(hybrid, truth, 70), alone)
 
 
+@needs_pybullet
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_figures(tuners: Tuners):
     tiny = OneStepTraining(

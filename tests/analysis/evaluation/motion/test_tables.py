@@ -12,6 +12,7 @@ from analysis.evaluation.cli import main
 from analysis.evaluation.motion import rows as motion_rows
 from analysis.evaluation.motion.records import motion_csv, motion_json
 from analysis.evaluation.motion.tables import motion_lines
+from tests.engines import needs_pybullet
 
 SEEDS = (1, 2)
 
@@ -45,6 +46,7 @@ def test_json_and_csv_hold_one_record_for_each_row_and_seed():
     assert (again["seed"], again["cm"]) == (2, 0.006)
 
 
+@needs_pybullet
 @pytest.mark.slow
 def test_the_command_runs_from_nothing_to_a_table(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -35,6 +35,7 @@ from analysis.evaluation.real_balls.tuned import found_by, off_motion, off_path
 from analysis.evaluation.track_tuning import tune_track
 from analysis.selection import Options
 from analysis.tuning import tune_episode
+from tests.engines import needs_pybullet
 
 IDEAL = RealBall(0.7, 0.0, 0.0, 1.0)
 
@@ -167,6 +168,7 @@ def test_balls_of_the_table_are_plausible():
     assert all(drop.whole.seconds[-1] > 7 for drop in drops)
 
 
+@needs_pybullet
 def test_the_same_work_gives_the_same_figures():
     runs = [compared_drops(CellPortion(CELLS[4], 5, range(2))) for _ in range(2)]
     for one, other in zip(*runs, strict=True):

@@ -1,0 +1,180 @@
+"""tunenet-export: what was tuned, as a file of another engine."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from analysis.export.registry import FORMATS
+from tunenet_logs.commandline import Parser, number, run
+from tunenet_logs.errors import TuneNetError, UsageError
+from tunenet_logs.regular_file import real_path
+from tunenet_logs.terminal import one_line
+
+if TYPE_CHECKING:
+    from analysis.export.exported import ExportedBall, ExportedPayload
+    from analysis.export.registry import ExportFormat
+
+_DESCRIPTION = """\
+Write what was tuned as a file for a physics engine: a ball's contact, or a payload's
+inertia. Each line of the file says why it is there, and its head whose numbers they are.
+Most engines know one restitution for all speeds and no air: they get the one with which
+the first rebound is as high as the recorded one (--speed V: the tuned law's at V). MuJoCo
+gets the tuned one, and the air's drag.
+
+Where the engine is installed, the file is loaded and the ball dropped again from the
+recorded height; how it bounces stands beside what was tuned.
+
+Exit code 1 if the tuning was rejected or cannot be read."""
+
+_EXAMPLES = """\
+  tunenet-export drop.json --to pybullet
+  tunenet-export drop.json --to sdf -o ball.sdf --radius 0.0335 --mass 0.0577
+  tunenet-export drop.json --to drake --speed 3.0
+  tunenet-export payload.json --to urdf --overwrite"""
+
+
+def build_parser() -> Parser:
+    """The command's arguments."""
+    parser = Parser("tunenet-export", _DESCRIPTION, _EXAMPLES)
+    add = parser.add_argument
+    add("tuning", type=Path, metavar="TUNING.json", help="what tunenet-tune wrote")
+    add(
+        "--to",
+        required=True,
+        choices=sorted(FORMATS),
+        metavar="ENGINE",
+        help=f"one of {', '.join(sorted(FORMATS))}",
+    )
+    add(
+        "-o",
+        "--output",
+        type=Path,
+        metavar="FILE",
+        help="default: NAME.ENGINE.* beside it",
+    )
+    add("--overwrite", action="store_true", help="replace files that exist")
+    ball = parser.add_argument_group("of a ball")
+    ball.add_argument(
+        "--speed",
+        type=number(0.05, 100, "m/s"),
+        metavar="M_S",
+        help="impact for which the restitution is to be right, by the tuned law over speed",
+    )
+    ball.add_argument(
+        "--radius",
+        type=number(1e-3, 10, "m"),
+        metavar="M",
+        help="default: of the ball that was named when recording, else 0.02",
+    )
+    ball.add_argument(
+        "--mass",
+        type=number(1e-5, 1000, "kg"),
+        metavar="KG",
+        help="default: of the ball that was named when recording, else as dense as water",
+    )
+    ball.add_argument(
+        "--step", type=number(1e-6, 0.1, "s"), metavar="S", help="the engine's time step"
+    )
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Entry point of `tunenet-export`."""
+    return run(build_parser(), _export, argv)
+
+
+def _export(arguments: argparse.Namespace) -> int:
+    from analysis.export.exported import ExportedBall
+    from analysis.export.registry import export_format
+    from analysis.result_files import replacing
+
+    engine = export_format(arguments.to)
+    item = _item(arguments, engine)
+    texts = _texts(arguments, engine, item)
+    for path in texts:
+        _check_free(path, arguments)
+    for path, text in texts.items():
+        with replacing(path) as partial:
+            partial.write_text(text, "utf-8")
+    if item.origin.verdict == "suspect":
+        why = item.origin.reason or "no reason is given"
+        print(one_line(f"tunenet-export: the tuning is suspect: {why}"), file=sys.stderr)
+    print("written: " + ", ".join(one_line(path) for path in texts))
+    if isinstance(item, ExportedBall):
+        print(_check_words(engine, next(iter(texts)), item))
+    return 0
+
+
+def _check_words(engine: ExportFormat, path: Path, ball: ExportedBall) -> str:
+    """How the engine drops the ball of the file, as a table."""
+    from analysis.export.check import checked
+
+    check = checked(engine, path, ball)
+    if isinstance(check, str):
+        return f"not run: {check}"
+    lines = [
+        f"dropped again in {engine.NAME}, from {ball.drop_height_m.value:.3f} m:",
+        "bounce  in the file  effective      off",
+        *(
+            f"{index:6d}  {ball.restitution:11.4f}  {found:9.4f}  {found - ball.restitution:+7.4f}"
+            for index, found in enumerate(check.effective, 1)
+        ),
+    ]
+    if check.rms_percent is not None:
+        lines.append(f"off the recording: {check.rms_percent:.2f} % of the drop height, rms")
+    return "\n".join(lines)
+
+
+def _item(arguments: argparse.Namespace, engine: ExportFormat) -> ExportedBall | ExportedPayload:
+    from analysis.export.exported import ExportedBall
+    from analysis.export.from_record import ExportOptions, exported
+    from analysis.record_json import read_record
+
+    if arguments.step is not None and engine.STEP_S is None:
+        raise UsageError(f"a file for {engine.NAME} holds no time step: leave --step out")
+    said = ExportOptions(arguments.speed, arguments.radius, arguments.mass, arguments.step)
+    record = read_record(arguments.tuning)
+    try:
+        item = exported(record, said)
+    except TuneNetError as error:
+        raise type(error)(f"{arguments.tuning}: {error}") from error
+    if isinstance(item, ExportedBall) and hasattr(engine, "HAS_AIR"):
+        return item.in_air()
+    return item
+
+
+def _texts(
+    arguments: argparse.Namespace, engine: ExportFormat, item: ExportedBall | ExportedPayload
+) -> dict[Path, str]:
+    """The files to write."""
+    from analysis.export.registry import texts, usual_suffix
+
+    path = arguments.output
+    if path is None:
+        path = arguments.tuning.with_suffix(usual_suffix(engine))
+    if path.suffix != engine.SUFFIX:
+        raise UsageError(f"{path}: is for {engine.NAME}; give -o a name that ends {engine.SUFFIX}")
+    return {path.with_suffix(suffix): text for suffix, text in texts(engine, item).items()}
+
+
+def _check_free(path: Path, arguments: argparse.Namespace) -> None:
+    """No file is replaced unasked, and the tuning never.
+
+    Raises:
+        UsageError: it would be, or it cannot be written.
+    """
+    from analysis.result_files import check_writable
+
+    if real_path(path) == real_path(arguments.tuning):
+        raise UsageError(f"{path}: is the tuning itself; give -o another file")
+    check_writable(path, "-o")
+    if path.exists() and not arguments.overwrite:
+        raise UsageError(f"{path}: exists; give -o another file, or --overwrite")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

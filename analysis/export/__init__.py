@@ -1,0 +1,6 @@
+"""A record as files of other engines: one file an engine, one line each in `registry.FORMATS`.
+
+An engine's file is a module with the names of `registry.ExportFormat`: `NAME`, `SUFFIX`, `STEP_S`,
+`LIBRARY`, `ball_text`, `payload_text`; `companion` where one file is not enough; and `dropped`
+where Python can run the engine, for the check that drops the ball again.
+"""

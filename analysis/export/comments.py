@@ -1,0 +1,27 @@
+"""Comments in the languages of the exported files.
+
+What stands in them may be a stranger's words (a log's name, a reason): no such word may end the
+comment, begin a new line, or move the cursor of whoever looks at the file.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+
+from tunenet_logs.terminal import one_line
+
+
+def xml_comment(lines: Iterable[str], indent: str = "") -> str:
+    """The lines as one XML comment, each printable, without the `--` that would end it."""
+    body = "".join(f"{indent}  {_without_double_dashes(one_line(line))}\n" for line in lines)
+    return f"{indent}<!--\n{body}{indent}-->"
+
+
+def hash_comment(lines: Iterable[str], indent: str = "") -> str:
+    """The lines as comments of Python, YAML and USD: each behind a `#` of its own."""
+    return "\n".join(f"{indent}# {one_line(line)}".rstrip() for line in lines)
+
+
+def _without_double_dashes(line: str) -> str:
+    return re.sub("-(?=-)", "- ", line)

@@ -1,0 +1,25 @@
+"""JSON: the card, for scripts. JSON has no comments: remarks stand under `notes`."""
+
+from __future__ import annotations
+
+import json
+
+from analysis.export.card import ball_card, payload_card
+from analysis.export.exported import ExportedBall, ExportedPayload
+from analysis.export.head import ball_lines, one_restitution_lines, payload_lines
+
+NAME, SUFFIX, STEP_S, LIBRARY = "json", ".json", None, None
+
+
+def ball_text(ball: ExportedBall) -> str:
+    """See `ExportFormat`."""
+    return _text(ball_card(ball, [*ball_lines(ball), *one_restitution_lines(ball)]))
+
+
+def payload_text(payload: ExportedPayload) -> str:
+    """See `ExportFormat`."""
+    return _text(payload_card(payload, payload_lines(payload)))
+
+
+def _text(card: object) -> str:
+    return json.dumps(card, indent=1, ensure_ascii=True, allow_nan=False) + "\n"

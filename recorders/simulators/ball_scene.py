@@ -1,0 +1,277 @@
+"""Pictures of a ball over a floor, drawn by rays: exact in place and shape, without an engine.
+
+A ray through each part of a pixel meets the floor's plane or the ball's sphere, so a ball far from
+the picture's middle is the ellipse that a lens without distortion makes of it. The floor is drawn
+once, and the ball only where it is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorders.simulators.pinhole import PinholeCamera
+from tunenet_logs.arrays import Array
+
+_OVERSAMPLING = 4
+"""Rays per pixel along each side: 16 grey levels of an edge."""
+
+_MOST_RAYS = 2**17
+"""Rays that are followed at once: what a picture of any size needs of memory beside itself."""
+
+_FLOOR = 4.0
+"""Half a side of the square floor, as a multiple of the camera's distance from its target."""
+
+_TEXTURE_PX = 512
+"""Side of the floor's texture."""
+
+_LAID_PX = 128
+"""Side of the part of the texture that covers the floor."""
+
+_BACKGROUND = 255.0
+"""Grey of what is neither floor nor ball: an overexposed wall or sky."""
+
+_LIGHT = np.array([0.35, -0.5, 2.5])
+"""Direction to the light, of any length: from above and a little aside, as lamps are."""
+
+_AMBIENT, _DIFFUSE, _SPECULAR = 0.6, 0.35, 0.05
+"""Parts of the light: from everywhere, by Lambert's law, and mirrored upwards as a soft gloss."""
+
+_SHADOW = 0.55
+"""Fraction of the light that remains in the middle of the ball's shadow."""
+
+Box = tuple[int, int, int, int]
+"""Left, top, right, bottom [px]; the last two are outside."""
+
+
+@dataclass(frozen=True)
+class BallPicture:
+    """The part of a picture that shows the ball, H x W pixels.
+
+    Attributes:
+        box: where it lies.
+        cover: fraction of each pixel that is ball, shape (H, W).
+        intensity: light from that fraction, 0 to 1, averaged over it, shape (H, W).
+    """
+
+    box: Box
+    cover: Array
+    intensity: Array
+
+
+class BallScene:
+    """A ball of one colour over a textured floor, as one camera sees it.
+
+    Args:
+        camera: where from.
+        radius_m: of the ball.
+        rng: draws colours and texture.
+    """
+
+    def __init__(self, camera: PinholeCamera, radius_m: float, rng: np.random.Generator) -> None:
+        self._camera = camera
+        self._radius_m = radius_m
+        floor_colour = np.clip(rng.uniform(0.7, 0.95) + rng.uniform(-0.08, 0.08, 3), 0, 1)
+        self._ground = _ground(camera, floor_colour, _floor_texture(rng))
+        self._ball_colour = 255 * _ball_colour(rng)
+
+    def picture(self, centers_m: Array) -> Array:
+        """What the camera shows of a ball at these positions while the shutter was open.
+
+        Args:
+            centers_m: of the ball, equally long at each, shape (S, 3).
+
+        Returns:
+            RGB, 0 to 255, shape (H, W, 3), not rounded.
+        """
+        fraction = 1 / len(centers_m)
+        floor = self._ground.copy()
+        for center in centers_m:
+            box, dark = _shadow(self._camera, center, self._radius_m)
+            floor[_inside(box)] -= self._ground[_inside(box)] * (fraction * dark[:, :, None])
+        frame = floor.copy()
+        for center in centers_m:
+            ball = draw_ball(self._camera, center, self._radius_m)
+            seen = ball.intensity[:, :, None] * self._ball_colour
+            hidden = floor[_inside(ball.box)]
+            frame[_inside(ball.box)] += (seen - hidden) * (fraction * ball.cover[:, :, None])
+        return frame
+
+
+def draw_ball(camera: PinholeCamera, center_m: Array, radius_m: float) -> BallPicture:
+    """A sphere as the camera sees it; an empty box where it does not see it, or is inside of it.
+
+    Args:
+        camera: where from.
+        center_m: of the ball, shape (3,).
+        radius_m: of the ball.
+    """
+    turn = camera.camera_from_world
+    center = turn @ (center_m - np.array(camera.position_m))
+    light = turn @ _LIGHT / np.linalg.norm(_LIGHT)
+    gap = center @ center - radius_m**2
+    left, top, right, bottom = box = _ball_box(camera, center, radius_m)
+    cover = np.zeros((bottom - top, right - left))
+    intensity = np.zeros_like(cover)
+    for strip in _strips(box):
+        x, y = _rays(camera, strip)
+        # The ray's point s (x, y, 1) is on the sphere: a s² - 2 b s + gap = 0.
+        a = x**2 + y**2 + 1
+        b = x * center[0] + y * center[1] + center[2]
+        within = b**2 - a * gap
+        hit = (within > 0) & (b > 0)
+        s = (b - np.sqrt(np.where(hit, within, 0.0))) / a
+        to_light, up = (
+            (s * (x * axis[0] + y * axis[1] + axis[2]) - center @ axis) / radius_m
+            for axis in (light, turn[:, 2])
+        )
+        lit = np.where(hit, _intensity(to_light, up), 0.0)
+        rows = slice(strip[1] - top, strip[3] - top)
+        cover[rows] = hit.mean(axis=0)
+        intensity[rows] = lit.mean(axis=0) / np.maximum(cover[rows], 1e-9)
+    return BallPicture(box, cover, intensity)
+
+
+def _ground(camera: PinholeCamera, colour: Array, texture: NDArray[np.float32]) -> Array:
+    """The picture without a ball, shape (H, W, 3); the floor is seen from above only."""
+    import cv2
+
+    turn = camera.camera_from_world
+    x_m, y_m, z_m = camera.position_m
+    half_m = _FLOOR * math.dist(camera.position_m, camera.target_m)
+    upright = _LIGHT[2] / np.linalg.norm(_LIGHT)
+    lit = colour * float(_intensity(upright, 1.0))
+    width, height = camera.size_px
+    ground = np.empty((height, width, 3))
+    for strip in _strips((0, 0, width, height)):
+        x, y = _rays(camera, strip)
+        down = -(x * turn[0, 2] + y * turn[1, 2] + turn[2, 2])
+        s = z_m / np.where(down > 0, down, np.inf)
+        u = (x_m + s * (x * turn[0, 0] + y * turn[1, 0] + turn[2, 0])) / half_m
+        v = (y_m + s * (x * turn[0, 1] + y * turn[1, 1] + turn[2, 1])) / half_m
+        hit = (s > 0) & (np.abs(u) < 1) & (np.abs(v) < 1)
+        columns, rows = (
+            ((1 + np.where(hit, at, 0.0)) * (_LAID_PX / 2) - 0.5).astype(np.float32)
+            for at in (u, v)
+        )
+        flat = (-1, columns.shape[-1])
+        grey = cv2.remap(
+            texture,
+            columns.reshape(flat),
+            rows.reshape(flat),
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
+        ).reshape(columns.shape)
+        floor = np.where(hit, grey, 0.0).mean(axis=0)[:, :, None] * lit
+        ground[_inside(strip)] = floor + _BACKGROUND * (1 - hit.mean(axis=0))[:, :, None]
+    return ground
+
+
+def _shadow(camera: PinholeCamera, center_m: Array, radius_m: float) -> tuple[Box, Array]:
+    """Where the ball takes light from the floor, and which fraction, shape (H, W) of the box."""
+    import cv2
+
+    ground = center_m - _LIGHT / _LIGHT[2] * center_m[2]
+    turns = np.linspace(0, 2 * math.pi, 24, endpoint=False)
+    blur = 0.15 * center_m[2]  # a shadow is softer the higher the ball
+    rim = ground + (radius_m + blur) * np.column_stack([np.cos(turns), np.sin(turns), np.zeros(24)])
+    rim[:, 2] = 0.0
+    pixels = camera.image_from_world(rim)
+    if not np.isfinite(pixels).all():
+        return (0, 0, 0, 0), np.zeros((0, 0))
+    low, high = pixels.min(axis=0), pixels.max(axis=0)
+    left, top, right, bottom = box = _box(camera, (low[0], high[0]), (low[1], high[1]))
+    dark = np.zeros((bottom - top, right - left), np.uint8)
+    if dark.size:
+        corners = np.clip(np.round(16 * (pixels - (left, top))), -(2**20), 2**20).astype(np.int32)
+        strength = 255 * (1 - _SHADOW) * (radius_m / (radius_m + blur)) ** 2
+        cv2.fillPoly(dark, [corners], round(strength), cv2.LINE_AA, 4)
+    return box, dark / 255.0
+
+
+def _ball_box(camera: PinholeCamera, center: Array, radius_m: float) -> Box:
+    """Where a sphere at a point in camera axes is seen, if at all.
+
+    Planes through the camera that touch the sphere bound it, two in each direction.
+    """
+    if math.hypot(*center) <= radius_m:
+        return (0, 0, 0, 0)
+    spans = []
+    for middle_px, across in zip((np.array(camera.size_px) - 1) / 2, center[:2], strict=True):
+        distance = math.hypot(across, center[2])
+        angle = math.atan2(across, center[2])
+        half = math.asin(radius_m / distance) if distance > radius_m else math.pi
+        low, high = max(angle - half, -math.pi / 2), min(angle + half, math.pi / 2)
+        if low >= high:
+            return (0, 0, 0, 0)
+        spans.append([middle_px + camera.focal_px * math.tan(edge) for edge in (low, high)])
+    return _box(camera, *spans)
+
+
+def _box(camera: PinholeCamera, columns: tuple[float, float], rows: tuple[float, float]) -> Box:
+    """Pixels that a span of columns and one of rows touch, with one more on each side."""
+    (left, right), (top, bottom) = (
+        np.clip((math.floor(low - 0.5), math.ceil(high + 0.5) + 1), 0, size).tolist()
+        for (low, high), size in zip((columns, rows), camera.size_px, strict=True)
+    )
+    return left, top, right, bottom
+
+
+def _strips(box: Box) -> Iterator[Box]:
+    """The box in pieces one below the other, each of at most `_MOST_RAYS` rays."""
+    left, top, right, bottom = box
+    rows = max(1, _MOST_RAYS // (_OVERSAMPLING**2 * max(1, right - left)))
+    for first in range(top, bottom, rows):
+        yield left, first, right, min(first + rows, bottom)
+
+
+def _rays(camera: PinholeCamera, box: Box) -> tuple[Array, Array]:
+    """Rays through each part of each pixel: x right and y down, in camera axes at depth 1.
+
+    Returns:
+        Shapes (P, 1, W) and (P, H, 1): P rays through each of H x W pixels.
+    """
+    left, top, right, bottom = box
+    parts = (np.arange(_OVERSAMPLING) + 0.5) / _OVERSAMPLING - 0.5
+    down, across = (part.reshape(-1, 1) for part in np.meshgrid(parts, parts, indexing="ij"))
+    width, height = camera.size_px
+    x = (np.arange(left, right) + across - (width - 1) / 2) / camera.focal_px
+    y = (np.arange(top, bottom) + down - (height - 1) / 2) / camera.focal_px
+    return x[:, None, :], y[:, :, None]
+
+
+def _intensity(to_light: Array | float, up: Array | float) -> Array:
+    """Light from a surface, 0 to 1, by its normal's parts towards the light and upwards."""
+    lit = np.maximum(to_light, 0)
+    gloss = np.maximum(2 * lit * up - _LIGHT[2] / np.linalg.norm(_LIGHT), 0) ** 2
+    direct = _DIFFUSE * lit + _SPECULAR * gloss
+    return _AMBIENT + np.minimum(direct, 1 - _AMBIENT)
+
+
+def _inside(box: Box) -> tuple[slice, slice]:
+    """Rows and columns of a box in a picture."""
+    left, top, right, bottom = box
+    return slice(top, bottom), slice(left, right)
+
+
+def _floor_texture(rng: np.random.Generator) -> NDArray[np.float32]:
+    """Grey, 0 to 255, of the part that covers the floor."""
+    import cv2
+
+    side = (_TEXTURE_PX, _TEXTURE_PX)
+    rough = cv2.resize(rng.normal(0, 12, (48, 48)), side, interpolation=cv2.INTER_CUBIC)
+    fine = cv2.GaussianBlur(rng.normal(0, 10, side), (0, 0), 1.5)
+    grey = np.clip(190 + rough + fine, 0, 255)
+    return grey[-_LAID_PX:, -_LAID_PX:].astype(np.float32)
+
+
+def _ball_colour(rng: np.random.Generator) -> Array:
+    """Saturated, as balls are that are sold for playing; shape (3,), 0 to 1."""
+    import colorsys
+
+    colour = colorsys.hsv_to_rgb(rng.random(), rng.uniform(0.6, 1.0), rng.uniform(0.5, 1.0))
+    return np.array(colour)

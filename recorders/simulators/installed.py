@@ -1,0 +1,26 @@
+"""Which version of an engine is installed, without importing it."""
+
+from __future__ import annotations
+
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+
+
+def named_version(module: str, *packages: str) -> str:
+    """The module's name with its version, as a log and a tuning state it: "mujoco 4.0.0".
+
+    Args:
+        module: as it is imported.
+        packages: of other names that bring it.
+
+    Raises:
+        ModuleNotFoundError: it is not installed.
+    """
+    if find_spec(module) is None:
+        raise ModuleNotFoundError(f"{module} is not installed", name=module)
+    for package in (module, *packages):
+        try:
+            return f"{module} {version(package)}"
+        except PackageNotFoundError:
+            continue
+    return f"{module} of unknown version"

@@ -1,0 +1,1 @@
+"""What tunenet-export writes."""
