@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime
@@ -27,6 +27,9 @@ from tunenet_logs.formats.registry import is_folder
 from tunenet_logs.output.log_place import ACTIVE_SUFFIX
 from tunenet_logs.regular_file import real_path
 from tunenet_logs.terminal import Progress
+
+_Also = Callable[[Tuning, Provenance], None]
+"""Writes something of a tuning, and raises LogError or OSError where it cannot."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,7 @@ def tune_all(
     progress: Progress,
     *,
     overwrite: bool = False,
+    also: _Also | None = None,
 ) -> list[Result]:
     """Tune every log, write its JSON and review, and return what came out in the logs' order.
 
@@ -69,13 +73,14 @@ def tune_all(
         jobs: processes.
         progress: shows how many are done.
         overwrite: whether results of other logs may be replaced.
+        also: writes what else is to be kept of a tuning, or says why not in a LogError or OSError.
 
     Raises:
         UsageError: the options fit no log at all, or two logs would write the same results.
     """
     logs = list({real_path(log): log for log in logs}.values())
     pieces = [Piece(_OneLog(*pair)) for pair in zip(logs, _names(logs, folder), strict=True)]
-    work = partial(_tuned_and_written, options=options, overwrite=overwrite)
+    work = partial(_tuned_and_written, options=options, overwrite=overwrite, also=also)
     lost = partial(_lost, options=options)
     what = ("tuning", "log")
     return parallel_map(work, pieces, jobs, progress, what, may_stay=True, lost=lost)
@@ -90,7 +95,13 @@ def _rejected(log: Path, options: Options, reason: str, trouble: str | None = No
     return Result(row_of(tuning, record_of(tuning)), trouble=trouble)
 
 
-def _tuned_and_written(work: _OneLog, options: Options, *, overwrite: bool) -> Result:
+def _tuned_and_written(
+    work: _OneLog,
+    options: Options,
+    *,
+    overwrite: bool,
+    also: _Also | None,
+) -> Result:
     """Tune one log and write its results; runs in the worker processes."""
     log, (report, recording) = work.log, _results(work.name)
     sha256 = ""
@@ -109,7 +120,8 @@ def _tuned_and_written(work: _OneLog, options: Options, *, overwrite: bool) -> R
         print_traceback()
         reason = f"unexpected {type(error).__name__}: {error}; please report it with the log"
         tuning = Tuning(log, options.task, options.preset, "rejected", reason)
-    record = record_of(tuning, _provenance(tuning, sha256, options))
+    provenance = _provenance(tuning, sha256, options)
+    record = record_of(tuning, provenance)
     row, review = row_of(tuning, record), None
     try:
         is_log = log.is_file() or tuning.episode is not None  # a folder may be one
@@ -128,26 +140,38 @@ def _tuned_and_written(work: _OneLog, options: Options, *, overwrite: bool) -> R
             place, why = error.filename or place, error.strerror
         trouble = f"{place}: cannot be written ({why}); choose another folder with -o"
         return Result(row, None, trouble)
-    return Result(row, review)
+    return Result(row, review, also and _trouble(also, tuning, provenance))
+
+
+def _trouble(also: _Also, tuning: Tuning, provenance: Provenance) -> str | None:
+    """Keep what else is wanted of a tuning; why that was not possible, else None."""
+    try:
+        also(tuning, provenance)
+    except LogError as error:
+        return str(error)
+    except OSError as error:
+        return f"{error.filename}: cannot be written ({error.strerror}); choose another place"
+    return None
 
 
 def _provenance(tuning: Tuning, sha256: str, options: Options) -> Provenance:
     """Where the record of a tuning comes from."""
-    tare = options.selection.tare
-    named = None
-    if isinstance(tare, Path):
-        try:
-            named = {"log": tare.name, "sha256": log_sha256(tare)}
-        except OSError:  # the tuning was rejected for it
-            named = {"log": tare.name, "sha256": ""}
     return Provenance(
         version=version("tunenet-logs"),
         log_sha256=sha256,
         options={**_given(options, Options()), **_given(options.selection, Selection())},
-        tare=named,
+        tares=tuple(_named(tare) for tare in options.selection.tares if isinstance(tare, Path)),
         date=datetime.now(UTC).isoformat(timespec="seconds"),
         engine=None if tuning.simulator is None else tuning.simulator["engine"],
     )
+
+
+def _named(tare: Path) -> dict[str, str]:
+    """A tare's name and SHA-256."""
+    try:
+        return {"log": tare.name, "sha256": log_sha256(tare)}
+    except OSError:  # the tuning was rejected for it
+        return {"log": tare.name, "sha256": ""}
 
 
 def _given(options: Options | Selection, defaults: Options | Selection) -> dict[str, Any]:
@@ -155,14 +179,16 @@ def _given(options: Options | Selection, defaults: Options | Selection) -> dict[
     found: dict[str, Any] = {}
     for field in fields(options):
         value = getattr(options, field.name)
-        if value == getattr(defaults, field.name) or field.name in ("selection", "tare"):
+        if value == getattr(defaults, field.name) or field.name in ("selection", "tares"):
             continue
         if isinstance(value, Path):
             value = value.name
-        elif field.name == "arm":
-            value = {"urdf": value[0].name, "tool_link": value[1]}
         elif field.name in ("hints", "ball"):
             value = {part.name: getattr(value, part.name) for part in fields(value)}
+        elif field.name == "arm" and isinstance(value, tuple):
+            value = {"urdf": value[0].name, "tool_link": value[1]}
+        elif field.name == "arm_card":
+            value = {"file": value.file, "logs": [run["log"] for run in value.runs]}
         found[field.name] = value
     return found
 

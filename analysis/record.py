@@ -129,7 +129,7 @@ class Provenance:
         version: of this package.
         log_sha256: of the log; of a folder, of the names and contents of its files.
         options: those that differ from the defaults, by name.
-        tare: name and SHA-256 of the empty run; None without one.
+        tares: name and SHA-256 of each empty run.
         date: when it was tuned, ISO 8601 in UTC.
         engine: the simulator's, with its version; None where nothing was simulated.
     """
@@ -137,7 +137,7 @@ class Provenance:
     version: str
     log_sha256: str
     options: Mapping[str, Any]
-    tare: Mapping[str, str] | None
+    tares: tuple[Mapping[str, str], ...]
     date: str
     engine: str | None
 

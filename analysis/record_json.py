@@ -93,7 +93,7 @@ def to_json(record: Record) -> str:
         "topic": record.topic,
         "window": record.window,
         "seconds": {name: round(value, 4) for name, value in record.seconds.items()},
-        "provenance": record.provenance and asdict(record.provenance),
+        "provenance": record.provenance and _provenance_fields(record.provenance),
     }
     text = json.dumps(fields, indent=1, ensure_ascii=False, allow_nan=False)
     if record.motion.curves is not None:  # on one line: it is for programs
@@ -164,6 +164,22 @@ def read_record(path: Path) -> Record:
         ) from error
 
 
+def _provenance_fields(provenance: Provenance) -> dict[str, Any]:
+    """As JSON has it: of tares null, one, or a list of several."""
+    fields = asdict(provenance)
+    tares = fields.pop("tares")
+    fields["tare"] = list(tares) if len(tares) > 1 else next(iter(tares), None)
+    return fields
+
+
+def _provenance(fields: Mapping[str, Any]) -> Provenance:
+    """Of what `_provenance_fields` wrote."""
+    known = dict(fields)
+    tare = known.pop("tare", None)
+    tares = tare if isinstance(tare, list) else [tare] if tare else []
+    return Provenance(**known, tares=tuple(map(dict, tares)))
+
+
 def record_from(fields: Mapping[str, Any]) -> Record:
     """The record of a JSON's object; keys that are missing have their defaults.
 
@@ -211,7 +227,7 @@ def record_from(fields: Mapping[str, Any]) -> Record:
         topic=_optional(str, fields.get("topic")),
         window=_numbers(fields.get("window")) or None,
         seconds=_numbers(fields.get("seconds")),
-        provenance=provenance and Provenance(**provenance),
+        provenance=provenance and _provenance(provenance),
         motion=Motion(
             _optional(_curves, fields.get("curves")),
             _optional(_simulation_fit, fields.get("simulation_fit")),

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from recorders.simulators.balls import UNKNOWN_BALL, Ball
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import NotFoundError
 from tunenet_logs.formats.read_options import AS_IT_SAYS, ReadOptions
+
+if TYPE_CHECKING:
+    from analysis.payload.arm_card import ArmCard
 
 
 @dataclass(frozen=True)
@@ -36,9 +40,17 @@ class Selection:
         end_s: what comes after is left out [s since the log's first sample].
         hints: where the ball is in a picture.
         ball: what was dropped: then the air's drag on it is known.
-        tare: a log of the same arm with nothing in its gripper, or what was read of one.
-        arm: whose URDF, and the link that holds the payload; None for the Jaco.
+        tares: logs of the same arm with nothing in its gripper, or what was read of them.
+        arm: a known arm's name, or a URDF and the link that holds the payload; None to go by the
+            log.
         height_m: of the drop, for a log of impact times alone [m].
+        gravity: "included" or "compensated": whether the arm's own weight is in the torques. None
+            to go by the log, as of what follows.
+        effort_sign: whose the torques are, "joint" (what it exerts) or "load" (the opposite).
+        effort_unit: of the torques, "N·m" or "A".
+        torque_constants: torque at the joint for each A [N·m/A] where efforts are currents: one a
+            joint from base to tool, or one for all.
+        arm_card: what other runs said of the arm; None for nothing.
     """
 
     topic: str | None = None
@@ -46,9 +58,14 @@ class Selection:
     end_s: float | None = None
     hints: Hints = field(default_factory=Hints)
     ball: Ball = UNKNOWN_BALL
-    tare: Path | Episode | None = None
-    arm: tuple[Path, str] | None = None
+    tares: tuple[Path | Episode, ...] = ()
+    arm: str | tuple[Path, str] | None = None
     height_m: float | None = None
+    gravity: str | None = None
+    effort_sign: str | None = None
+    effort_unit: str | None = None
+    torque_constants: tuple[float, ...] = ()
+    arm_card: ArmCard | None = None
 
     @property
     def film_options(self) -> tuple[str, ...]:
@@ -69,7 +86,15 @@ class Selection:
     @property
     def arm_options(self) -> tuple[str, ...]:
         """The options given that are for an arm, as a user names them."""
-        given = {"--tare": self.tare is not None, "--urdf": self.arm is not None}
+        given = {
+            "--tare": bool(self.tares),
+            "--arm": isinstance(self.arm, str),
+            "--urdf": isinstance(self.arm, tuple),
+            "--gravity": self.gravity is not None,
+            "--effort-sign": self.effort_sign is not None,
+            "--effort-unit": self.effort_unit is not None,
+            "--arm-card": self.arm_card is not None,
+        }
         return tuple(name for name, is_given in given.items() if is_given)
 
 

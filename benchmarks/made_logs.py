@@ -46,7 +46,7 @@ class MadeLog:
 
     episode: Episode
     truth: float
-    tare: Episode | None = None
+    tares: tuple[Episode, ...] = ()
 
 
 def made_log(kind: str, seed: int, index: int, folder: Path) -> MadeLog:
@@ -118,7 +118,7 @@ def _payload(rng: np.random.Generator, folder: Path) -> MadeLog:
     moved = circle(*when) if is_circle else random_path(arm, seed, *when)
     disturbances = through_kinovas_driver(drawn(seed, arm), _DRIVER_HZ)
     tare = driver_episode(arm, moved, None, disturbances.another_run())
-    return MadeLog(driver_episode(arm, moved, Payload(truth), disturbances), truth, tare)
+    return MadeLog(driver_episode(arm, moved, Payload(truth), disturbances), truth, (tare,))
 
 
 PAYLOADS, FILMS = "payloads with a tare", "films"

@@ -73,7 +73,7 @@ def tuned_pair(work: LogWork) -> Pair:
     with tempfile.TemporaryDirectory() as folder:
         log = made_log(kind, seed, index, Path(folder))
         for at in (0, 1) if index % 2 else (1, 0):
-            options = Options(method=LOG_METHODS[at], selection=Selection(tare=log.tare))
+            options = Options(method=LOG_METHODS[at], selection=Selection(tares=log.tares))
             tuning = tune_episode(log.episode, options)
             if tuning.estimate is not None and tuning.trace is not None:
                 values[at] = tuning.estimate[0]
@@ -158,7 +158,7 @@ def payload_errors(work: Sequence[LogWork]) -> Array:
     for rows, (kind, seed, index) in zip(errors, work, strict=True):
         with tempfile.TemporaryDirectory() as folder:
             log = made_log(kind, seed, index, Path(folder))
-        found = experiment.detect(log.episode, Selection(tare=log.tare), "default")
+        found = experiment.detect(log.episode, Selection(tares=log.tares), "default")
         for own, (method, _) in zip(rows, methods.values(), strict=True):
             problem = experiment.problem(found, np.array([_middle(PAYLOAD_MASS.training_range)]))
             trace = method.estimator.estimate(problem, ROLLOUTS[-1])

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from recorders.simulators.arm.known_arms import ARMS, DEFAULT
 from tunenet_logs.commandline import number
 from tunenet_logs.errors import UsageError
 
@@ -40,7 +41,7 @@ def payload_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
             "--path",
             metavar="PATH",
             help="circle (the paper's), random, or a CSV: time_s, then a column of rad for each "
-            "joint (default: circle; with --urdf random)",
+            "joint (default: circle; of another arm than a Jaco with 7 joints random)",
         ),
         add(
             "--save-path",
@@ -49,12 +50,8 @@ def payload_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
             help="write the path for a real arm, from rest to rest, 100 rows a second unless "
             "--rate, and record nothing",
         ),
-        add(
-            "--urdf",
-            type=Path,
-            metavar="FILE",
-            help="another serial arm (default: a Kinova Jaco with 7 joints and a Robotiq 85)",
-        ),
+        add("--arm", metavar="NAME", help=f"which: {', '.join(ARMS)} (default: {DEFAULT})"),
+        add("--urdf", type=Path, metavar="FILE", help="any other serial arm"),
         add("--tool-link", metavar="NAME", help="the link of that file that holds the payload"),
         *_driver_options(group),
     ]
@@ -164,6 +161,7 @@ def _order(arguments: argparse.Namespace) -> PayloadOrder:
         "com_m": arguments.com,
         "is_empty": arguments.empty,
         "path": arguments.path,
+        "arm": arguments.arm,
         "urdf": arguments.urdf,
         "tool_link": arguments.tool_link,
         "rate_hz": arguments.rate,

@@ -17,6 +17,7 @@ from recorders.simulators.arm.disturbances import (
     through_kinovas_driver,
 )
 from recorders.simulators.arm.driver import driver_episode
+from recorders.simulators.arm.known_arms import DEFAULT, known_arm, name_alone
 from recorders.simulators.arm.path import (
     CIRCLE_RAD_S,
     JointPath,
@@ -62,7 +63,8 @@ class PayloadOrder:
         com_m: the payload's centre of mass in the tool frame.
         is_empty: nothing is held (a tare); all else is as the seed draws it for a payload.
         path: "circle" (the paper's), "random", or a CSV's name; the Jaco's circle if None.
-        urdf: another arm than the Jaco, whose payload is in the frame of `tool_link`.
+        arm: a known arm's name; None for the Jaco, or the URDF's.
+        urdf: an arm of one's own, whose payload is in the frame of `tool_link`.
         is_driver: all disturbances, in the messages of a real driver. What is ordered of the
             following replaces its share.
         torque_noise_nm: standard deviation, as `friction_nm`, `offset_nm` and `gain_error` are.
@@ -74,6 +76,7 @@ class PayloadOrder:
     com_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     is_empty: bool = False
     path: str | None = None
+    arm: str | None = None
     urdf: Path | None = None
     tool_link: str | None = None
     rate_hz: float | None = None
@@ -131,11 +134,13 @@ def command_path(order: PayloadOrder) -> tuple[Arm, JointPath]:
 
 
 def ordered_arm(order: PayloadOrder) -> Arm:
-    """The Jaco, or the arm of a file.
+    """The Jaco, the arm of that name, or the arm of a file.
 
     Raises:
         UsageError: no such arm.
     """
+    if order.arm is not None:
+        return known_arm(name_alone(order.arm, order.urdf, order.tool_link)).arm()
     if order.urdf is None:
         if order.tool_link is not None:
             raise UsageError("--tool-link is for an arm of your own; name its file with --urdf")
@@ -146,7 +151,12 @@ def ordered_arm(order: PayloadOrder) -> Arm:
 
 
 def _usual_path(order: PayloadOrder) -> str:
-    return CIRCLE if order.urdf is None else RANDOM
+    return CIRCLE if _is_on_circle(order) else RANDOM
+
+
+def _is_on_circle(order: PayloadOrder) -> bool:
+    """Whether the ordered arm is a Jaco with 7 joints, for which the paper's circle is."""
+    return order.urdf is None and (order.arm or DEFAULT).lower().startswith("jaco7")
 
 
 def _rate_hz(order: PayloadOrder) -> float:
@@ -157,8 +167,10 @@ def _path(arm: Arm, order: PayloadOrder, rate_hz: float, seconds: float | None) 
     """The ordered path; a file's whole length if `seconds` is None."""
     wanted = order.path or _usual_path(order)
     if wanted == CIRCLE:
-        if order.urdf is not None:
-            raise UsageError("--path circle is the Jaco's; take --path random or a CSV with --urdf")
+        if not _is_on_circle(order):
+            raise UsageError(
+                "--path circle is of a Jaco with 7 joints; take --path random or a CSV for this arm"
+            )
         return circle(rate_hz, seconds or _SECONDS)
     if wanted == RANDOM:
         return random_path(arm, order.seed, rate_hz, seconds or _SECONDS)

@@ -47,7 +47,7 @@ def test_tunes_to_its_truth(path: Path):
 
 
 def test_the_payload_is_weighed_with_its_tare():
-    selection = Selection(tare=FOLDER / "payload_empty.mcap")
+    selection = Selection(tares=(FOLDER / "payload_empty.mcap",))
     tuning = tune_log(FOLDER / "payload.mcap", Options(selection=selection))
     assert tuning.verdict == "ok"
     assert tuning.estimate is not None

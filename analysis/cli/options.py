@@ -4,12 +4,21 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from recorders.simulators.arm.known_arms import ARMS, DEFAULT, name_alone
 from recorders.simulators.balls import BALLS, UNKNOWN_BALL, Ball, ball_named, contradict
 from tunenet_logs.commandline import number, whole
 from tunenet_logs.errors import UsageError
+from tunenet_logs.regular_file import real_path
+
+if TYPE_CHECKING:
+    from analysis.payload.arm_card import ArmCard
+    from tunenet_logs.formats.read_options import ReadOptions
 
 
 def preset_option(parser: argparse.ArgumentParser) -> None:
@@ -86,25 +95,126 @@ def arm_options(group: argparse._ArgumentGroup) -> None:
         "--tare",
         type=Path,
         metavar="LOG",
+        action="append",
         help="a run of the same arm with nothing in its gripper, best along the same motion: what "
-        "friction, offsets and the model's errors do is then known",
+        "friction, offsets and the model's errors do is then known. May be given several times",
     )
     add(
-        "--urdf",
+        "--arm-card",
         type=Path,
         metavar="FILE",
-        help="another serial arm than Kinova's Jaco with 7 joints and a Robotiq 85",
+        help="what earlier runs of the same arm said of its friction, sensors and links, as "
+        "--save-arm-card wrote it; with and without --tare",
     )
+    add(
+        "--save-arm-card",
+        type=Path,
+        metavar="FILE",
+        help="write what the log, its tares and the --arm-card say of the arm; for one log",
+    )
+    add(
+        "--arm",
+        metavar="NAME",
+        help=f"whose torques these are: {', '.join(ARMS)} (default: as the joints' names say, else "
+        f"{DEFAULT})",
+    )
+    add("--urdf", type=Path, metavar="FILE", help="any other serial arm")
     add("--tool-link", metavar="NAME", help="the link of that URDF in whose frame the payload is")
+    add(
+        "--gravity",
+        choices=["included", "compensated"],
+        help="whether the arm's own weight is in the torques (default: as the log shows)",
+    )
+    add(
+        "--effort-sign",
+        choices=["joint", "load"],
+        help="whose torques these are: what the joint exerts, or the load, the opposite (default: "
+        "as the log shows)",
+    )
+    add(
+        "--effort-unit",
+        type=_effort_unit,
+        metavar="{N·m,A}",
+        help="of the torques; with A they are currents, and --torque-constants makes them torques: "
+        "one number a joint from base to tool, or one for all (default: N·m)",
+    )
 
 
-def known_arm(arguments: argparse.Namespace) -> tuple[Path, str] | None:
-    """The URDF and its link; None for the arm that is built in.
+def _effort_unit(text: str) -> str:
+    """An argparse type: N·m in one of its spellings, or A."""
+    unit = "N·m" if text in ("N·m", "Nm", "N.m", "N*m") else text
+    if unit not in ("N·m", "A"):
+        raise argparse.ArgumentTypeError(f"{text[:20]!r} is neither N·m (or Nm) nor A")
+    return unit
+
+
+def known_tares(arguments: argparse.Namespace) -> tuple[Path, ...]:
+    """The empty runs.
 
     Raises:
-        UsageError: one without the other.
+        UsageError: one is named twice.
+    """
+    found: dict[Path, Path] = {}
+    for tare in arguments.tare or ():
+        if found.setdefault(real_path(tare), tare) is not tare:
+            raise UsageError(f"--tare {tare} is named twice; name each empty run once")
+    return tuple(found.values())
+
+
+def known_card(arguments: argparse.Namespace, tares: Sequence[Path]) -> ArmCard | None:
+    """What is known of the arm, after a check of where what is learnt of it shall go.
+
+    Raises:
+        UsageError: the card is none, or has one of these runs already; or none can be saved.
+    """
+    saved, logs = arguments.save_arm_card, arguments.logs
+    if saved is not None:
+        from analysis.result_files import check_writable
+
+        if len({real_path(log) for log in logs}) != 1:
+            raise UsageError(f"--save-arm-card is for one log, not {len(logs)}; name one")
+        check_writable(saved, "--save-arm-card")
+    if arguments.arm_card is None:
+        return None
+    from analysis.payload.arm_card import read_arm_card
+    from analysis.result_files import log_sha256
+
+    card = read_arm_card(arguments.arm_card)
+    for run in (*logs, *tares):
+        with suppress(OSError):  # reading it says why in our own words
+            card.check_new(run, log_sha256(run))
+    return card
+
+
+def of_efforts(
+    arguments: argparse.Namespace, reading: ReadOptions
+) -> tuple[ReadOptions, tuple[float, ...]]:
+    """How to read a log, and the torque for each A of its efforts [N·m/A] if these are currents.
+
+    Where they are, the constants are theirs, and none of a table's currents.
+
+    Raises:
+        UsageError: they are currents, and nobody says what these do.
+    """
+    constants = reading.torque_constants
+    if arguments.effort_unit != "A":
+        return reading, ()
+    if not constants:
+        raise UsageError(
+            "--effort-unit A needs each joint's torque for each A; add --torque-constants K1,K2,..."
+        )
+    return replace(reading, torque_constants=()), constants
+
+
+def known_arm(arguments: argparse.Namespace) -> str | tuple[Path, str] | None:
+    """The arm's name, or its URDF and the link; None to go by the log.
+
+    Raises:
+        UsageError: no such arm, or options that do not go together.
     """
     urdf, link = arguments.urdf, arguments.tool_link
+    if arguments.arm is not None:
+        return name_alone(arguments.arm, urdf, link)
     if (urdf is None) != (link is None):
         missing = "--tool-link" if link is None else "--urdf"
         raise UsageError(f"--urdf and --tool-link go together; add {missing}")

@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,9 @@ from analysis.cli.options import (
     jobs_option,
     known_arm,
     known_ball,
+    known_card,
+    known_tares,
+    of_efforts,
     preset_option,
 )
 from analysis.registry import METHODS, kinds
@@ -32,6 +36,7 @@ from tunenet_logs.errors import NotFoundError, UsageError
 from tunenet_logs.terminal import Progress, listed, one_line
 
 if TYPE_CHECKING:
+    from analysis.record import Provenance, Tuning
     from analysis.selection import Selection
 
 _DESCRIPTION = """\
@@ -61,6 +66,10 @@ _EXAMPLES = """\
   tunenet-tune claps.csv --columns times=1         (times of impacts alone)
   tunenet-tune drop.mcap --iterations 10 --initial 0.5
   tunenet-tune payload.bag --tare empty.bag        (what a Jaco holds)
+  tunenet-tune payload.bag --arm ur5e
+  tunenet-tune run.mcap --tare empty.mcap --save-arm-card arm.json
+  tunenet-tune next.mcap --arm-card arm.json       (no tare needed)
+  tunenet-tune run.mcap --gravity included --effort-unit A --torque-constants 9.5
   tunenet-tune run.mcap --urdf arm.urdf --tool-link flange
   tunenet-tune drop.mcap --weights my-drop.safetensors"""
 
@@ -203,15 +212,22 @@ def _tune(arguments: argparse.Namespace) -> int:
     if arguments.preview:
         _check_preview(arguments)
     progress = Progress(quiet=arguments.quiet)
+    reading, constants = of_efforts(arguments, read_options_of(arguments))
+    tares = known_tares(arguments)
     selection = Selection(
         arguments.topic,
         arguments.start,
         arguments.end,
         Hints(arguments.roi, arguments.hsv, arguments.ball_at),
         known_ball(arguments),
-        arguments.tare,
+        tares,
         known_arm(arguments),
         arguments.height,
+        arguments.gravity,
+        arguments.effort_sign,
+        arguments.effort_unit,
+        constants,
+        known_card(arguments, tares),
     )
     options = Options(
         task=arguments.task,
@@ -223,11 +239,17 @@ def _tune(arguments: argparse.Namespace) -> int:
         selection=_marked(arguments.logs[0], selection, progress)
         if arguments.preview
         else selection,
-        reading=read_options_of(arguments),
+        reading=reading,
     )
     jobs = arguments.jobs or len(os.sched_getaffinity(0))
     results = tune_all(
-        arguments.logs, options, arguments.output, jobs, progress, overwrite=arguments.overwrite
+        arguments.logs,
+        options,
+        arguments.output,
+        jobs,
+        progress,
+        overwrite=arguments.overwrite,
+        also=_saving_card(arguments),
     )
     rows = [result.row for result in results]
     if any(row.is_read for row in rows):
@@ -247,6 +269,17 @@ def _tune(arguments: argparse.Namespace) -> int:
         print("review: " + "\n        ".join(f"rerun {review}" for review in reviews))
     failed = [one.row.record.verdict == "rejected" or one.trouble for one in results]
     return int(any(failed))
+
+
+def _saving_card(
+    arguments: argparse.Namespace,
+) -> Callable[[Tuning, Provenance], None] | None:
+    """Writes what a tuning learns of its arm; None where nobody asks for it."""
+    if arguments.save_arm_card is None:
+        return None
+    from analysis.payload.card_saving import save_arm_card
+
+    return partial(save_arm_card, path=arguments.save_arm_card, overwrite=arguments.overwrite)
 
 
 def _check_preview(arguments: argparse.Namespace) -> None:

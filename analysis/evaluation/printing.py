@@ -3,47 +3,30 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from analysis.evaluation.choices import (
+    FULL_CONVENTIONS,
+    FULL_PAYLOAD,
+    FULL_SHOT,
+    FULL_STRANGERS,
+    FULL_VIDEO,
+    METHODS,
+    PAYLOAD_SECTIONS,
+    REAL_SECTIONS,
+    SECTIONS,
+    SHOT_SECTIONS,
+    USUAL_PAYLOAD_SECTIONS,
+    chosen_names,
+    chosen_sections,
+)
 from tunenet_logs.errors import UsageError
 
 if TYPE_CHECKING:
     from analysis.evaluation.drop.networks import Effort
     from tunenet_logs.terminal import Progress
-
-METHODS = (
-    *("mean", "entropy-search", "cma-es", "direct", "tunenet-paper", "tunenet-paper-code"),
-    *("secant", "brent", "least-squares", "tpe", "npe"),
-    *("network", "ours"),
-    *("concatenation", "difference", "antisymmetric"),
-)
-"""Those of `drop.method_registry`, which takes a second to load."""
-
-SECTIONS = ("set-A", "set-B", "set-C", "slope", "drag", "bad", "clips", "transformed")
-"""Those of `video.sections`, which takes a second to load, and of `clips`."""
-
-SHOT_SECTIONS = ("campaigns", "drops")
-"""Policies in the hidden world, and verdicts on its drops."""
-
-REAL_SECTIONS = ("positions", "balls", "films")
-"""Those of `real_balls.run`."""
-
-FULL_REAL = 200
-"""Drops of a cell for each seed; fewer make fewer of the table's balls in proportion."""
-
-FULL_SHOT = 60
-"""Trials of a campaign; fewer make fewer drops in proportion."""
-
-FULL_ENGINES = 10
-"""Targets of a range for each seed and pair of engines."""
-
-PAYLOAD_SECTIONS = ("masses", "logs")
-"""Table 1 of the paper, and logs like a real driver's."""
-
-FULL_VIDEO = 200
-"""Tracks for each seed and line of `video`; fewer make fewer clips in proportion."""
 
 Writers = dict[str, Callable[[Path], None]]
 """What an experiment can write, once all of its text is printed."""
@@ -66,7 +49,7 @@ def _drop(
     from analysis.evaluation.drop.tables import drop_tables
     from analysis.optional_dependencies import needed
 
-    methods = _named(arguments, "methods", METHODS)
+    methods = chosen_names(arguments, "methods", METHODS)
     chosen = choose_methods(methods)
     for name in ("png", "rrd"):
         if getattr(arguments, name) is not None and not chosen.has_curves:
@@ -129,32 +112,51 @@ def _intervals(
 def _payload(
     arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
 ) -> tuple[Iterable[str], Writers]:
-    """Table 1, and payloads in logs like a real driver's."""
+    """Table 1, and payloads in logs like a real driver's and of strangers' arms."""
     from analysis.evaluation.payload.logs import LogRow, log_rows
     from analysis.evaluation.payload.masses import MassOrder, MassRow, mass_rows
     from analysis.evaluation.payload.records import payload_csv, payload_json
-    from analysis.evaluation.payload.tables import log_table, mass_table
+    from analysis.evaluation.payload.stranger_conventions import ConventionRow, convention_rows
+    from analysis.evaluation.payload.strangers import StrangerRow, stranger_rows
+    from analysis.evaluation.payload.tables import (
+        convention_table,
+        log_table,
+        mass_table,
+        stranger_table,
+    )
     from analysis.optional_dependencies import needed
 
-    wanted = _sections(arguments, PAYLOAD_SECTIONS)
+    wanted = chosen_sections(arguments, PAYLOAD_SECTIONS, USUAL_PAYLOAD_SECTIONS)
     if "masses" in wanted:
         needed("torch")
     effort = (arguments.pairs, arguments.epochs)
-    order = MassOrder(seeds, arguments.targets, arguments.jobs, *effort)
+    targets = arguments.targets
+    order = MassOrder(seeds, targets or FULL_PAYLOAD, arguments.jobs, *effort)
     masses: list[MassRow] = []
     logs: list[LogRow] = []
+    strangers: list[StrangerRow] = []
+    conventions: list[ConventionRow] = []
 
     def blocks() -> Iterator[str]:
         if "masses" in wanted:
             masses.extend(mass_rows(order, progress))
             yield mass_table(masses, order)
         if "logs" in wanted:
-            count = max(1, arguments.targets * 2 // 3)
+            count = max(1, order.targets * 2 // 3)
             logs.extend(log_rows(seeds, count, order.jobs, progress))
             yield log_table(logs)
+        if "strangers" in wanted:
+            count = targets or FULL_STRANGERS
+            strangers.extend(stranger_rows(seeds, count, order.jobs, progress))
+            yield stranger_table(strangers)
+            count = targets or FULL_CONVENTIONS
+            conventions.extend(convention_rows(seeds, count, order.jobs, progress))
+            yield convention_table(conventions)
 
     return blocks(), {
-        "json": lambda path: _write(path, payload_json(masses, logs, order)),
+        "json": lambda path: _write(
+            path, payload_json(masses, logs, order, strangers, conventions)
+        ),
         "csv": lambda path: _write(path, payload_csv(masses, order)),
     }
 
@@ -171,7 +173,7 @@ def _bounce_shot(
     from analysis.evaluation.shots.tables import acceptance_table, campaign_table
     from analysis.optional_dependencies import needed
 
-    wanted = _sections(arguments, SHOT_SECTIONS)
+    wanted = chosen_sections(arguments, SHOT_SECTIONS)
     if "campaigns" in wanted:
         needed("torch")
     results: list[TrialResult] = []
@@ -222,7 +224,7 @@ def _video(
     from analysis.evaluation.video.sections import TRACK_SECTIONS, Section
     from analysis.evaluation.video.tables import video_blocks
 
-    wanted = _sections(arguments, SECTIONS)
+    wanted = chosen_sections(arguments, SECTIONS)
     chosen = tuple(section for section in TRACK_SECTIONS if section.name in wanted)
     order = VideoOrder(seeds, arguments.targets, arguments.jobs)
     rows: list[VideoRow] = []
@@ -267,7 +269,7 @@ def _real_balls(
     )
     from analysis.evaluation.real_balls.tables import protocol, section_blocks
 
-    wanted = _sections(arguments, REAL_SECTIONS)
+    wanted = chosen_sections(arguments, REAL_SECTIONS)
     order = RealOrder(seeds, arguments.targets, arguments.jobs)
     lines: list[RealLine] = []
 
@@ -300,27 +302,6 @@ def _engines(
         "json": lambda path: _write(path, engines_json(lines, order)),
         "csv": lambda path: _write(path, engines_csv(lines)),
     }
-
-
-def _sections(arguments: argparse.Namespace, available: Sequence[str]) -> Sequence[str]:
-    wanted = _named(arguments, "sections", available) or available
-    for name in wanted:
-        if name not in available:
-            raise UsageError(f"no section {name!r}; there is: {', '.join(available)}")
-    return wanted
-
-
-def _named(
-    arguments: argparse.Namespace, option: str, available: Sequence[str]
-) -> tuple[str, ...] | None:
-    """The names that an option lists; None where it is not given."""
-    listed = getattr(arguments, option)
-    if listed is None:
-        return None
-    names = tuple(filter(None, (name.strip() for name in listed.split(","))))
-    if not names:
-        raise UsageError(f"--{option} names none; there is: {', '.join(available)}")
-    return names
 
 
 def _effort(arguments: argparse.Namespace) -> Effort:

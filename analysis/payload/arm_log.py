@@ -1,19 +1,21 @@
 """An arm's recording: the new samples of its joints' positions, velocities and torques.
 
 A driver publishes faster than it measures, and repeats what it has: each field keeps only the
-samples that are new. What else drivers do is undone in `driver_quirks.py`.
+samples that are new (`new_samples.py`). What else drivers do is undone in `driver_quirks.py`.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.payload.driver_quirks import even_clock, in_radians, match_joints
+from analysis.payload.driver_quirks import in_newton_metres, in_radians, match_joints
+from analysis.payload.new_samples import new_samples
 from analysis.selection import check_start
 from recorders.simulators.arm.description import Arm
 from tunenet_logs.arrays import Array
@@ -39,17 +41,6 @@ _MOST_REASONS = 3
 _FEWEST_SAMPLES = 20
 """Of a field: fewer determine neither a motion nor a rate."""
 
-_REST_PERIODS = 6.0
-"""Median periods of new samples after which an unchanged position means that the arm rests."""
-
-_STALE_FRACTION = 0.03
-"""Of repeated samples, from which on a driver publishes faster than it measures: two measured
-values are equal now and then."""
-
-_JUMP_RAD = 0.02
-"""What an arm that begins to move covers by the next sample at most."""
-
-
 LEAST_KNOT_S = 0.04
 """Between knots of a spline through positions: no arm's acceleration has finer detail."""
 
@@ -65,8 +56,9 @@ class JointSamples:
         topic: where it came from.
         seconds: since the log's first sample [s], shape (T,), increasing.
         values: shape (T, J), in the arm's order of joints [rad, rad/s or N·m].
-        repeated: fraction of what was recorded that only repeats the sample before.
+        repeated: fraction of what was recorded that only repeats a sample; not that of a rest.
         late_s: how much later than measured a sample may be stamped; 0 where its time is known.
+        rests: first and last time of each rest [s], shape (R, 2).
     """
 
     topic: str
@@ -74,9 +66,10 @@ class JointSamples:
     values: Array
     repeated: float
     late_s: float
+    rests: Array
 
     def __post_init__(self) -> None:
-        for array in (self.seconds, self.values):
+        for array in (self.seconds, self.values, self.rests):
             array.flags.writeable = False
 
     @property
@@ -116,6 +109,7 @@ def read_arm_log(
     topic: str | None = None,
     start_s: float | None = None,
     end_s: float | None = None,
+    torque_constants: Sequence[float] = (),
 ) -> ArmLog:
     """Find the joints of an arm in an episode.
 
@@ -125,12 +119,18 @@ def read_arm_log(
         topic: which to prefer where several would do; it is to have joints of the arm.
         start_s: where to begin [s since the first sample]; None for there.
         end_s: where to end [s since the first sample]; None for the last.
+        torque_constants: of efforts that are currents [N·m/A], one a joint or one for all.
 
     Raises:
         NotFoundError: no torques, joints or topic that are not there, or too little of them.
     """
     if topic is not None:
         topic = _checked_topic(episode, arm, topic)
+    if torque_constants and "N·m" not in {signal.unit for signal in episode.signals.values()}:
+        raise NotFoundError(
+            f"no efforts to take as currents (there: {listed(tuple(episode.signals))}): leave "
+            "--effort-unit out; --torque-constants alone is for a table's columns of currents"
+        )
     effort = _pick(episode, "N·m", arm, topic, "joint torques")
     in_topic = [signal.unit for signal in episode.signals.values() if _topic(signal) == topic]
     prefer = topic if topic and "rad" in in_topic else _topic(effort)
@@ -139,6 +139,8 @@ def read_arm_log(
     with suppress(NotFoundError):
         velocity = _pick(episode, "rad/s", arm, _topic(position), "joint velocities")
     effort = _measured(effort, arm)
+    if torque_constants:  # as stated: a JointState does not say its unit
+        effort = in_newton_metres(effort, arm, torque_constants)
     used = [signal for signal in (effort, position, velocity) if signal is not None]
     first_ns = min(int(signal.stamps_ns[0]) for signal in used)
     last_ns = max(int(signal.stamps_ns[-1]) for signal in used)
@@ -146,11 +148,11 @@ def read_arm_log(
     part = (-np.inf if start_s is None else start_s, np.inf if end_s is None else end_s)
     part, cut = _bounded(position, first_ns, part)
     try:
-        positions = _fresh(position, arm, first_ns, part, rests=True)
+        positions = _fresh(position, arm, first_ns, part)
         if velocity is not None:
             with suppress(NotFoundError):
-                velocities = _fresh(velocity, arm, first_ns, part, rests=True)
-        efforts = _fresh(effort, arm, first_ns, part, rests=False)
+                velocities = _fresh(velocity, arm, first_ns, part)
+        efforts = _fresh(effort, arm, first_ns, part, positions.rests)
     except NotFoundError as error:
         raise NotFoundError("; ".join((str(error), *cut))) from error
     angles, remarks = in_radians(positions.seconds, positions.values, arm)
@@ -282,7 +284,11 @@ def _measured(effort: Signal, arm: Arm) -> Signal:
 
 
 def _fresh(
-    signal: Signal, arm: Arm, first_ns: int, part: tuple[float, float], *, rests: bool
+    signal: Signal,
+    arm: Arm,
+    first_ns: int,
+    part: tuple[float, float],
+    rests: Array | None = None,
 ) -> JointSamples:
     """What is new in a signal.
 
@@ -291,7 +297,7 @@ def _fresh(
         arm: whose joints.
         first_ns: stamp of the log's first sample.
         part: first and last time that count [s since `first_ns`].
-        rests: whether a value that stays the same for long counts: the arm rests.
+        rests: when the arm rests [s], shape (R, 2); None where the signal itself shows it.
 
     Raises:
         NotFoundError: it is too little.
@@ -301,31 +307,16 @@ def _fresh(
     values = signal.values[:, columns]
     keep = np.isfinite(values).all(axis=1) & (seconds >= part[0]) & (seconds <= part[1])
     seconds, values = seconds[keep], values[keep]
-    new = np.ones(len(seconds), dtype=bool)
-    new[1:] = np.any(values[1:] != values[:-1], axis=1)
-    repeated = 1 - float(np.mean(new)) if len(new) else 0.0
-    if rests and new.any():
-        indices = np.flatnonzero(new)
-        regular = seconds[indices] if len(indices) >= _FEWEST_SAMPLES else seconds
-        period = float(np.median(np.diff(regular))) if len(regular) > 1 else 0.0
-        for begin, end in zip(indices, [*indices[1:], len(new)], strict=True):
-            # An arm that is suddenly elsewhere did not rest: the driver was stuck.
-            if end == len(new) or np.abs(values[end] - values[begin]).max() <= _JUMP_RAD:
-                new[begin:end] |= seconds[begin:end] - seconds[begin] > _REST_PERIODS * period
-    if np.count_nonzero(new) < _FEWEST_SAMPLES:
+    new = new_samples(seconds, values, rests) if len(seconds) > 1 else None
+    count = len(seconds) if new is None else len(new.rows)
+    if new is None or count < _FEWEST_SAMPLES:
         raise NotFoundError(
-            f"{signal.name}: {np.count_nonzero(new)} samples of all joints are new (wanted: "
+            f"{signal.name}: {count} samples of all joints are new (wanted: "
             f"{_FEWEST_SAMPLES} or more): record for 5 s, at the driver's highest rate"
         )
-    times, late_s = seconds[new], 0.0
-    if repeated > _STALE_FRACTION:
-        before = np.concatenate([seconds[:1], seconds[:-1]])[new]
-        even = even_clock(before, times)
-        if even is None:
-            late_s = float(np.median(np.diff(seconds)))
-        else:
-            times = even
-    return JointSamples(_topic(signal), times, values[new], repeated, late_s)
+    return JointSamples(
+        _topic(signal), new.seconds, values[new.rows], new.repeated, new.late_s, new.rests
+    )
 
 
 def _topic(signal: Signal) -> str:

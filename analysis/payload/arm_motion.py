@@ -33,7 +33,7 @@ _OUTLIER_RAD, _OUTLIER_FACTOR = 0.05, 20.0
 """A single sample is an outlier where it is off the middle of its neighbours by more than this
 angle and this multiple of the median."""
 
-_MOST_TORQUES = 1500
+_MOST_TORQUES = 700
 """Samples of a fit: more cost time and add nothing, as an arm's motion is slow."""
 
 _MEAN_SPAN_S = 0.05
@@ -147,9 +147,10 @@ def smoothing_spline(seconds: Array, values: Array, late_s: float = 0.0) -> BSpl
     speeds = np.diff(values, axis=0) / np.diff(seconds)[:, None]
     floor = late_s**2 / 12 * np.mean(speeds**2, axis=0)  # variance of a uniform delay, times speed
     early = seconds <= knots[_DEGREE + min(cells, _WINDOW_KNOTS)]
-    window = slice(0, min(cells, _WINDOW_KNOTS) + _DEGREE)
+    size = min(cells, _WINDOW_KNOTS) + _DEGREE
+    inner = third.tocsr()[: size - 3, :size].toarray()  # a difference cut off would pull to 0
     stiffnesses = _stiffnesses(
-        design[early][:, window].toarray(), penalty[window, window].toarray(), values[early], floor
+        design[early][:, :size].toarray(), inner.T @ inner, values[early], floor
     )
     right_sides = design.T @ values
     coefficients = [

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import TypeVar
+
 import numpy as np
 
 from analysis.checks import Check
@@ -12,49 +15,49 @@ from recorders.simulators.arm.description import Arm
 from tunenet_logs.arrays import Array
 from tunenet_logs.terminal import listed, short_name
 
+T = TypeVar("T")
+
 _LEAST_HZ = 8.0
 _LEAST_S, _REJECT_S = 3.0, 1.0
 _LEAST_SPAN_RAD = 0.3
 _MOST_GAP_S = 0.3
 _MOST_REPEATED = 0.7
 """A recording that shows a mass: slower, shorter or more still, friction and offsets hide it. The
-repeated samples are a fraction of all."""
+repeated samples are a fraction of all but those of an arm at rest, which are no gap either."""
 
 _LEAST_CORRELATION = 0.8
 _FAST_FACTOR = 1.5
 """Velocities of the driver are like the positions' derivatives, and these below a multiple of the
 joint's limit: else positions or stamps are wrong."""
 
-_MOST_RMS_NM, _REJECT_RMS_NM = 1.0, 2.5
-_MOST_SIMULATED_NM = 1.5
-"""Residuals of a good fit are a torque sensor's noise, some 0.2 N·m; a simulated arm has no
-friction and no offsets, so that more remains."""
+_MOST_RMS, _REJECT_RMS, _MOST_SIMULATED = 0.03, 0.08, 0.15
+"""Residuals by what joints are built for. Those of a good fit are a torque sensor's noise, half a
+percent; a simulated arm has no friction and no offsets, so that more remains."""
 
 _CHI2_MEDIAN = 0.455
 """Of the square of a standard normal variable: makes a median an rms without spikes."""
 
 _REJECT_FRACTION = 0.5
-_LIVELY_NM = 1.0
+_LIVELY = 0.03
 """No arm leaves this fraction of its torques' variance unexplained, where they vary by more than
-noise does."""
+noise does, by what its joints are built for."""
 
-_SURE_ODDS = 5.0
-"""Natural log of the Bayes factor: 150 to 1, very strong evidence (Kass and Raftery 1995)."""
+_SURE_ODDS, _CONTRADICTED = 5.0, -10.0
+"""Natural log of the Bayes factor: 150 to 1, very strong evidence (Kass and Raftery 1995); and what
+speaks against an owner's own word."""
 
 _MOST_LAG_S = 0.1
 """Drivers' filters are faster: more is two clocks."""
 
-_USUAL_SDS = 5.0
+_USUAL_SDS = 8.0
 """Of a term's prior: beyond it something else is wrong with the arm."""
 
-_SURE_KG, _SURE_FRACTION, _REJECT_KG = 0.15, 0.1, 2.0
-"""Half of a 95 % interval that is of use, of the mass where that is more; and of none at all."""
+_SURE_SHARE, _SURE_FRACTION, _REJECT_SHARE = 0.03, 0.1, 0.4
+"""Half of a 95 % interval that is of use, by what the arm weighs, or by the payload's mass where
+that is more; and of none at all."""
 
 _BELOW_SDS = 4.0
 """Standard deviations below 0 at which a mass is an error of the model or of the tare."""
-
-_OFF_CENTRE_PROBABILITY = 0.95
-"""From which a centre of mass elsewhere than in the tool frame is a finding."""
 
 _CONVENTION_WORDS = {
     (1, True): "the joints' torques, with gravity",
@@ -62,9 +65,18 @@ _CONVENTION_WORDS = {
     (1, False): "the joints' torques, without the arm's gravity",
     (-1, False): "torques with the sign opposite to the joints', without the arm's gravity",
 }
+_TILT_ADVICE = "an arm that does not stand upright needs its tilt in the base joint (--urdf)"
+_ZERO_ADVICE = "set the torque sensors to zero in the candle pose, and check the arm (--urdf)"
 _ARM_ADVICE = (
-    "check that torques and positions are of the same joints, in N·m, and the arm (--urdf: an arm "
-    "that does not stand upright needs its tilt in the base joint)"
+    "check that torques and positions are of the same joints, in N·m, and the arm (--arm, --urdf); "
+    f"{_TILT_ADVICE}"
+)
+_CONVENTION_ADVICE = (
+    "say it with --gravity and --effort-sign, or move the payload far out to the side, so that its "
+    "weight shows"
+)
+_CONTRADICTION_ADVICE = (
+    "check what --gravity and --effort-sign say: another convention fits far better"
 )
 _TARE_ADVICE = "record the empty gripper too and give it with --tare"
 
@@ -111,7 +123,7 @@ def arm_checks(log: ArmLog, motion: ArmMotion, arm: Arm) -> list[Check]:
         Check(
             "samples are new",
             repeated <= _MOST_REPEATED,
-            f"{100 * repeated:.0f} % of the samples repeat the one before (at most "
+            f"{100 * repeated:.0f} % of the samples repeat the one before, rests aside (at most "
             f"{100 * _MOST_REPEATED:.0f})",
             advice="record at the rate at which the driver measures",
         ),
@@ -167,27 +179,31 @@ def _speed_checks(log: ArmLog, motion: ArmMotion, velocity: Array, arm: Arm) -> 
     return [speed_check, velocity_check]
 
 
-def payload_checks(fit: PayloadFit, arm: Arm, log: ArmLog) -> list[Check]:
-    """What speaks for and against the mass; a tare that fits no arm is blamed before the log."""
-    tare_checks = []
-    if fit.tare_residual is not None:
-        advice = f"record the tare anew, and {_ARM_ADVICE}"
-        tare_checks = [_arm_check("tare: torques fit the arm", fit.tare_residual, 0.0, advice)]
-    residual = FitResidual(fit.residual_nm[:, fit.used], fit.effort_nm[:, fit.used])
-    meant = _CONVENTION_WORDS[fit.convention.sign, fit.convention.has_gravity]
-    worst = max(fit.nuisances, key=lambda term: abs(term.value) / term.prior_sd)
+def payload_checks(fit: PayloadFit, arm: Arm, log: ArmLog, *, is_stated: bool) -> list[Check]:
+    """What speaks for and against the mass; a tare that fits no arm is blamed before the log.
+
+    Args:
+        fit: of the torques.
+        arm: whose they are.
+        log: with these torques.
+        is_stated: whether the owner says what the driver means by torque.
+    """
+    tare_checks = [
+        _arm_check(
+            f"{name}: torques fit the arm",
+            residual,
+            0.0,
+            f"record the tare anew, and {_ARM_ADVICE}",
+        )
+        for name, residual in numbered("tare", fit.tare_residuals)
+    ]
+    usual = [term for term in fit.nuisances if term.group != "hoses and gears"]
+    worst = max(usual, key=lambda term: abs(term.value) / term.prior_sd)
     sds = abs(worst.value) / worst.prior_sd
-    turn = "turn the hand by 90° about two axes in the motion"
     return [
         *tare_checks,
-        _arm_check("torques fit the arm", residual, fit.arm_odds, _ARM_ADVICE),
-        Check(
-            "sign and gravity",
-            fit.convention_odds > _SURE_ODDS,
-            f"{meant} (log evidence {fit.convention_odds:.0f} over the next; wanted: "
-            f"{_SURE_ODDS:.0f} or more)",
-            advice="move the payload far out to the side, so that its weight shows",
-        ),
+        _arm_check("torques fit the arm", fit.residual, fit.arm_odds, _ARM_ADVICE),
+        _convention_check(fit, is_stated=is_stated),
         Check(
             "lag",
             abs(fit.lag_s) < _MOST_LAG_S,
@@ -200,34 +216,54 @@ def payload_checks(fit: PayloadFit, arm: Arm, log: ArmLog) -> list[Check]:
             sds < _USUAL_SDS,
             f"{worst.name} is {worst.value:+.3g}, {sds:.1f} times what is usual (at most "
             f"{_USUAL_SDS:.0f})",
-            advice="set the torque sensors to zero in the candle pose, and check the arm (--urdf)",
+            advice=_TILT_ADVICE if worst.group == "tilt" else _ZERO_ADVICE,
         ),
         _lift_check(fit, arm, log),
-        Check(
-            "payload in the tool frame",
-            fit.centre.is_identifiable or fit.off_centre < _OFF_CENTRE_PROBABILITY,
-            f"probability that its centre of mass is elsewhere {fit.off_centre:.2f} (at most "
-            f"{_OFF_CENTRE_PROBABILITY}, where the log does not tell it): {fit.identifiability}",
-            advice=turn if fit.tare_residual else _TARE_ADVICE,
-        ),
     ]
+
+
+def numbered(what: str, things: Sequence[T]) -> list[tuple[str, T]]:
+    """What each is called: by its number where there are several."""
+    names = [what] if len(things) == 1 else [f"{what} {at}" for at in range(1, len(things) + 1)]
+    return list(zip(names, things, strict=True))
+
+
+def _convention_check(fit: PayloadFit, *, is_stated: bool) -> Check:
+    """Whether it is clear what the driver means by torque."""
+    meant = _CONVENTION_WORDS[fit.convention.sign, fit.convention.has_gravity]
+    if is_stated:
+        return Check(
+            "sign and gravity",
+            fit.convention_odds > _CONTRADICTED,
+            f"{meant}, as stated (log evidence {fit.convention_odds:.0f} over any other; wanted: "
+            f"{_CONTRADICTED:.0f} or more)",
+            advice=_CONTRADICTION_ADVICE,
+        )
+    return Check(
+        "sign and gravity",
+        fit.convention_odds > _SURE_ODDS,
+        f"{meant} (log evidence {fit.convention_odds:.0f} over the next; wanted: "
+        f"{_SURE_ODDS:.0f} or more)",
+        advice=_CONVENTION_ADVICE,
+    )
 
 
 def _arm_check(name: str, residual: FitResidual, arm_odds: float, advice: str) -> Check:
     """Whether any arm is behind these torques."""
-    rms = float(np.sqrt(np.median(residual.residual_nm**2, axis=0).mean() / _CHI2_MEDIAN))
-    moving = residual.effort_nm - np.mean(residual.effort_nm, axis=0)
+    left = residual.residual_nm / residual.scales_nm
+    rms = float(np.sqrt(np.median(left**2, axis=0).mean() / _CHI2_MEDIAN))
+    moving = (residual.effort_nm - np.mean(residual.effort_nm, axis=0)) / residual.scales_nm
     spread = float(np.sqrt(np.mean(moving**2)))
-    lost = rms > _REJECT_RMS_NM or arm_odds < 0
-    if spread > _LIVELY_NM:
-        lost |= float(np.mean(residual.residual_nm**2)) / spread**2 > _REJECT_FRACTION
+    lost = rms > _REJECT_RMS or arm_odds < 0
+    if spread > _LIVELY:
+        lost |= float(np.mean(left**2)) / spread**2 > _REJECT_FRACTION
     detail = (
-        f"{rms:.2f} N·m are left, rms (at most {_MOST_RMS_NM:.0f}); torques change by "
-        f"{spread:.2f} N·m"
+        f"{100 * rms:.1f} % of what the joints are built for are left, rms (at most "
+        f"{100 * _MOST_RMS:.0f}); torques change by {100 * spread:.1f} %"
     )
     if lost:
         detail = f"these torques fit no arm, whatever their sign and gravity: {detail}"
-    return Check(name, rms < _MOST_RMS_NM and not lost, detail, fatal=lost, advice=advice)
+    return Check(name, rms < _MOST_RMS and not lost, detail, fatal=lost, advice=advice)
 
 
 def _lift_check(fit: PayloadFit, arm: Arm, log: ArmLog) -> Check:
@@ -235,43 +271,45 @@ def _lift_check(fit: PayloadFit, arm: Arm, log: ArmLog) -> Check:
     limits = np.array([joint.max_effort_nm for joint in arm.joints])
     fractions = np.quantile(np.abs(log.effort.values), 0.99, axis=0) / limits
     worst = int(np.argmax(fractions))
-    below = -fit.signed_kg / fit.sd_kg
-    zero = "that the tare's gripper was empty" if fit.tare_residual else "its zero with a --tare"
+    below = -fit.held.signed_kg / fit.held.sd_kg
+    zero = "that the tare's gripper was empty" if fit.tare_residuals else "its zero with a --tare"
     return Check(
         "within what the arm lifts",
         float(fractions[worst]) < 1 and below < _BELOW_SDS,
-        f"{fit.signed_kg:.3f} kg (0 or more); {arm.joints[worst].name} at "
+        f"{fit.held.signed_kg:.3f} kg (0 or more); {arm.joints[worst].name} at "
         f"{100 * fractions[worst]:.0f} % of its highest torque",
         advice=f"check the arm's model (--urdf), and {zero}",
     )
 
 
-def sure_check(fit: PayloadFit) -> Check:
+def sure_check(fit: PayloadFit, arm: Arm) -> Check:
     """Whether the interval is narrow enough to be of use."""
-    low, high = fit.interval95
+    low, high = fit.held.interval95
     half = (high - low) / 2
-    most_kg = max(_SURE_KG, _SURE_FRACTION * fit.mass_kg)
+    arm_kg = sum(joint.link.mass_kg for joint in arm.joints)
+    most_kg = max(_SURE_SHARE * arm_kg, _SURE_FRACTION * fit.held.mass_kg)
     longer = "record longer, the payload far out to the side, the hand turning"
     return Check(
         "sure enough",
         half < most_kg,
         f"95 % interval of ±{half:.3f} kg (at most {most_kg:.2f})",
-        fatal=half > _REJECT_KG,
-        advice=longer if fit.tare_residual else _TARE_ADVICE,
+        fatal=half > _REJECT_SHARE * arm_kg,
+        advice=longer if fit.tare_residuals else _TARE_ADVICE,
     )
 
 
-def simulation_check(residual_nm: Array) -> Check:
+def simulation_check(residual_nm: Array, scales_nm: Array) -> Check:
     """Whether the simulated arm needs the torques that were measured, all but what is no mass's.
 
     Args:
         residual_nm: measured less simulated [N·m], shape (T, J).
+        scales_nm: what each joint is built for [N·m], shape (J,).
     """
-    rms = float(np.sqrt(np.mean(residual_nm**2)))
+    rms = float(np.sqrt(np.mean((residual_nm / scales_nm) ** 2)))
     return Check(
         "simulation fits",
-        rms < _MOST_SIMULATED_NM,
-        f"{rms:.2f} N·m between measured and simulated torques, rms, friction and offsets "
-        f"included (at most {_MOST_SIMULATED_NM:g})",
+        rms < _MOST_SIMULATED,
+        f"measured and simulated torques differ by {100 * rms:.1f} % of what the joints are built "
+        f"for, rms, friction and offsets included (at most {100 * _MOST_SIMULATED:.0f})",
         advice="use the preset default, or check the arm (--urdf)",
     )

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
+import numpy as np
+
 from analysis.estimators.base import Observation
+from analysis.payload.arm_card import ArmCard
 from analysis.payload.arm_log import JOINT_UNITS, ArmLog, read_arm_log
 from analysis.payload.arm_motion import ArmMotion, arm_motion
+from analysis.payload.driver_quirks import check_joints
 from analysis.payload.fit_result import PayloadFit
 from analysis.payload.presets import (
     PAPER_GRAVITY_M_S2,
@@ -18,7 +22,9 @@ from analysis.payload.presets import (
     payload_readings,
 )
 from analysis.payload.torque_fit import fit_payload
+from analysis.payload.torque_model import CONVENTIONS, Convention
 from analysis.plausible import plausible
+from analysis.selection import Selection
 from recorders.simulators.arm.description import Arm
 from recorders.simulators.arm.dynamics import held_efforts_nm
 from recorders.simulators.arm.path import JointPath
@@ -50,7 +56,42 @@ class Tare:
     motion: ArmMotion
 
 
-def read_tare(tare: Path | Episode, arm: Arm, log: ArmLog, topic: str | None) -> Tare:
+def read_tares(
+    tares: Sequence[Path | Episode],
+    arm: Arm,
+    log: ArmLog,
+    topic: str | None,
+    torque_constants: Sequence[float] = (),
+) -> tuple[Tare, ...]:
+    """Read empty runs, each another; see `read_tare`.
+
+    Raises:
+        NotFoundError: one cannot be used, is no empty run, or is there twice.
+    """
+    found: list[Tare] = []
+    for tare in tares:
+        one = read_tare(tare, arm, log, topic, torque_constants)
+        if any(_is_same_run(known.log, one.log) for known in found):
+            name = f" {tare}" if isinstance(tare, Path) else ""
+            raise NotFoundError(f"--tare{name}: is a run that was named before; name each one once")
+        found.append(one)
+    return tuple(found)
+
+
+def _is_same_run(known: ArmLog, other: ArmLog) -> bool:
+    """Whether most torques of a log are to the last bit in another."""
+    there = {row.tobytes() for row in known.effort.values}
+    same = sum(row.tobytes() in there for row in other.effort.values)
+    return same > _SAME_FRACTION * len(other.effort.values)
+
+
+def read_tare(
+    tare: Path | Episode,
+    arm: Arm,
+    log: ArmLog,
+    topic: str | None,
+    torque_constants: Sequence[float] = (),
+) -> Tare:
     """Read an empty run.
 
     Args:
@@ -58,6 +99,7 @@ def read_tare(tare: Path | Episode, arm: Arm, log: ArmLog, topic: str | None) ->
         arm: whose joints are looked for.
         log: of the run with the payload.
         topic: which to prefer, as in that log; None for the one of its torques.
+        torque_constants: as that log's (`read_arm_log`).
 
     Raises:
         NotFoundError: it cannot be used, or is no empty run.
@@ -68,15 +110,19 @@ def read_tare(tare: Path | Episode, arm: Arm, log: ArmLog, topic: str | None) ->
         episode = on_one_clock(recorded)
         prefer = topic or log.effort.topic
         has_joints = any(signal.unit in JOINT_UNITS for signal in episode.signals_of(prefer))
-        empty = read_arm_log(episode, arm, topic=prefer if has_joints else None)
+        empty = read_arm_log(
+            episode,
+            arm,
+            topic=prefer if has_joints else None,
+            torque_constants=torque_constants,
+        )
+        check_joints(empty.joints, log.joints)
         mass_kg = episode.info.truth.get(PAYLOAD_MASS.name, 0.0)
         if mass_kg > 0:
             raise NotFoundError(
                 f"held {mass_kg:g} kg, as it says: name a run with nothing in the gripper"
             )
-        known = {row.tobytes() for row in empty.effort.values}
-        same = sum(row.tobytes() in known for row in log.effort.values)
-        if same > _SAME_FRACTION * len(log.effort.values):
+        if _is_same_run(empty, log):
             raise NotFoundError(
                 "has the torques of the log itself: name another run, with nothing in the gripper"
             )
@@ -85,6 +131,17 @@ def read_tare(tare: Path | Episode, arm: Arm, log: ArmLog, topic: str | None) ->
     except (LogError, NotFoundError) as error:
         reason = str(error).removeprefix(f"{tare}: ")
         raise NotFoundError(f"--tare{name}: {reason}") from error
+
+
+def conventions_of(selection: Selection) -> tuple[Convention, ...]:
+    """What a driver may mean by torque, after what its owner says."""
+    sign = {"joint": 1, "load": -1, None: None}[selection.effort_sign]
+    full = {"included": True, "compensated": False, None: None}[selection.gravity]
+    return tuple(
+        known
+        for known in CONVENTIONS
+        if sign in (None, known.sign) and full in (None, known.has_gravity)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +157,10 @@ class PayloadDetection:
         log: fresh samples of its joints.
         start_ns: where the log's clock is 0.
         motion: how the joints moved, at any time.
-        tare: the run with an empty gripper; None where there is none.
+        tares: runs with an empty gripper.
+        conventions: what the driver may mean by torque, as far as its owner does not say.
         warnings: what a user should know, in words.
+        card: what other runs said of the arm; None for nothing.
     """
 
     physical: bool
@@ -109,8 +168,10 @@ class PayloadDetection:
     log: ArmLog
     start_ns: int
     motion: ArmMotion
-    tare: Tare | None
+    tares: tuple[Tare, ...]
+    conventions: tuple[Convention, ...]
     warnings: tuple[str, ...]
+    card: ArmCard | None = None
 
     @property
     def topic(self) -> str:
@@ -139,15 +200,33 @@ class PayloadDetection:
         Raises:
             NotFoundError: the mass is over the highest that any arm holds.
         """
-        empty = None if self.tare is None else self.tare.motion
-        fit = fit_payload(self.arm, self.motion, empty)
+        fit = self._fitted([tare.motion for tare in self.tares])
         most_kg = PAYLOAD_MASS.bounds[1]
-        if fit.mass_kg > most_kg:
+        if fit.held.mass_kg > most_kg:
             raise NotFoundError(
-                f"these torques hold {fit.mass_kg:.3g} kg, over {most_kg:g} kg: are the torques in "
+                f"these torques hold {fit.held.mass_kg:.3g} kg, over {most_kg:g} kg: are they in "
                 "N·m?"
             )
         return fit
+
+    def _fitted(self, empty: Sequence[ArmMotion]) -> PayloadFit:
+        """With the card, if there is one.
+
+        Raises:
+            NotFoundError: the card has numbers that are no arm's.
+        """
+        known = self.card.learnt if self.card else None
+        try:
+            return fit_payload(
+                self.arm, self.motion, empty, conventions=self.conventions, known=known
+            )
+        except np.linalg.LinAlgError as error:
+            if self.card is None:
+                raise
+            raise NotFoundError(
+                f"--arm-card {self.card.file}: what it says of the arm and these torques go "
+                "together with no arm; write the card anew"
+            ) from error
 
     @cached_property
     def phase_s(self) -> float | None:
@@ -181,13 +260,11 @@ class PayloadDetection:
 
     @cached_property
     def simulator(self) -> PayloadSimulator:
-        """The arm along its own path; its payload's centre where the log shows it."""
+        """The arm along its own path; its payload's centre where the fit has it."""
         free = self.arm.without_limits()
         if not self.physical:
             return PayloadSimulator(free, self.path, gravity_m_s2=PAPER_GRAVITY_M_S2)
-        centre = self.fit.centre
-        com_m = centre.com_m if centre.is_identifiable else (0.0, 0.0, 0.0)
-        return PayloadSimulator(free, self.path, com_m)
+        return PayloadSimulator(free, self.path, self.fit.held.centre.likely_m)
 
     def observe(self, effort_nm: Array) -> Observation:
         """What the preset's network sees of torques along the path [N·m], shape (T, J)."""

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from operator import eq
 
 import numpy as np
 
 from recorders.simulators.arm.description import Arm
 from tunenet_logs.arrays import Array
+from tunenet_logs.episode import Signal
 from tunenet_logs.errors import NotFoundError
 from tunenet_logs.terminal import listed, short_name
 
 _NOT_OF_THE_ARM = re.compile(r"finger|gripper|knuckle|thumb|wheel", re.I)
 """Names that end in a number too, but not in that of a joint of the arm."""
+
+_GENERIC = re.compile(r"(joint|axis|j|a)?[_\- .]*\d+", re.I)
+"""A joint's name that says nothing of the arm: a driver's other topic may give it."""
 
 _TURN_RAD = 2 * np.pi
 
@@ -36,6 +41,9 @@ _MOST_OUTSIDE = 0.05
 _CLOCK_SLACK = 0.15
 """Fraction of the samples that may lie outside of their messages, beyond this fraction of the time
 between two messages: some messages are late."""
+
+_MOST_TICK_MEDIANS = 3.0
+"""Median times between new samples, from one to the next: more is a rest."""
 
 _FEWEST_TICKS = 20
 """Fewer samples fit an even clock by chance."""
@@ -104,6 +112,27 @@ def _is_numbered(joint: str, name: str, before: str) -> bool:
     return bool(re.search(rf"{before}0*{int(number[0])}$", name, re.I))
 
 
+def in_newton_metres(effort: Signal, arm: Arm, constants: Sequence[float]) -> Signal:
+    """Efforts that are currents [A] as torques.
+
+    Args:
+        effort: of all joints, and perhaps of others.
+        arm: whose joints they are.
+        constants: N·m for each A, one a joint of the arm from base to tool, or one for all.
+
+    Raises:
+        NotFoundError: there are fewer or more of them; the message says how many are wanted.
+    """
+    if len(constants) not in (1, len(arm.joints)):
+        raise NotFoundError(
+            f"--torque-constants has {len(constants)} numbers, the arm {len(arm.joints)} joints: "
+            "give one for each from base to tool, or one for all"
+        )
+    factors = np.ones(len(effort.columns))
+    factors[list(match_joints(arm.joint_names, effort.columns))] = constants
+    return replace(effort, values=effort.values * factors)
+
+
 def in_radians(seconds: Array, values: Array, arm: Arm) -> tuple[Array, list[str]]:
     """Angles as the arm can have had them, and what was done to them in words.
 
@@ -154,27 +183,32 @@ def _oddities(seconds: Array, values: Array, arm: Arm) -> int:
     return count
 
 
-def even_clock(before: Array, seconds: Array) -> Array | None:
+def even_clock(before: Array, seconds: Array) -> tuple[Array, float] | None:
     """Times of an even clock at which samples were measured; None where none fits.
 
     A driver that publishes faster than it measures repeats samples. One that is new in a message
     was measured some time since the message before. Where all that fits one even clock (fitted by
     alternating least squares: the nearest tick of each sample, then a line through the ticks), it
     tells the times far better than the messages do: their beat with it would look like a tremor.
+    Where the arm rests, no sample is new for many ticks.
 
     Args:
         before: time of the message before each new sample's [s], shape (T,); the first has none.
         seconds: time of the message that shows it first [s], shape (T,).
 
     Returns:
-        Times [s], shape (T,).
+        Times [s], shape (T,), and the clock's period [s].
     """
     if len(seconds) < _FEWEST_TICKS:
         return None
     begins, ends = before[1:], seconds[1:]
     middles = (begins + ends) / 2
-    ticks = np.arange(1.0, len(seconds))
-    period = start = 0.0
+    steps = np.diff(middles)
+    usual = steps[steps <= _MOST_TICK_MEDIANS * np.median(steps)]
+    period = float(np.mean(usual))
+    rested = np.where(steps <= usual.max(), 1.0, np.round(steps / period))
+    ticks = np.cumsum(np.concatenate([[1.0], rested]))
+    start = 0.0
     for _ in range(_CLOCK_ITERATIONS):
         period, start = np.polyfit(ticks, middles, 1)
         ticks = np.round((middles - start) / period)
@@ -183,4 +217,23 @@ def even_clock(before: Array, seconds: Array) -> Array | None:
     outside = (times < begins - slack) | (times > ends + slack)
     if np.any(np.diff(ticks) < 1) or float(np.mean(outside)) > _MOST_OUTSIDE:
         return None
-    return np.concatenate([times[:1] - period, times])
+    first = min(np.floor((seconds[0] - start) / period), ticks[0] - 1)
+    return np.concatenate([[start + period * first], times]), float(period)
+
+
+def check_joints(joints: Sequence[str], of_log: Sequence[str]) -> None:
+    """Refuse runs of another arm, by the names of its joints.
+
+    Args:
+        joints: of the other runs.
+        of_log: of the log, as many.
+
+    Raises:
+        NotFoundError: they are others; names that say nothing of an arm go with any.
+    """
+    for other, own in zip(joints, of_log, strict=True):
+        if other != own and not (_GENERIC.fullmatch(other) or _GENERIC.fullmatch(own)):
+            raise NotFoundError(
+                f"its joint {short_name(other)} is {short_name(own)} in the log: name a run of the "
+                "same arm and driver"
+            )

@@ -1,53 +1,39 @@
-"""Least squares with normal priors, whose scales the samples themselves decide on.
+"""Linear terms whose scales the samples themselves decide on.
 
-A group of terms (all joints' offsets, say) may be absent, as large as usual, or larger. Each
-combination is a model whose evidence is Gaussian, in closed form (type II maximum likelihood,
-MacKay 1992). The answer is their Bayesian model average (Hoeting et al. 1999): what samples cannot
-tell widens it, and what is not there costs nothing.
+Each group of terms (all joints' offsets, say) has one scale: near 0 where a log shows none of it,
+over 1 where it shows more than is usual. The likeliest scales are found together (type II maximum
+likelihood, MacKay 1992); what the samples cannot tell of a scale is then averaged over, one group
+at a time, and widens the answer.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tunenet_logs.arrays import Array
 
-_LEAST_WEIGHT = 1e-4
-"""Models with less posterior probability are left out: they change no digit that is shown."""
+_LEAST, _MOST, _MOST_KNOWN = -7.0, 2.5, 1.1
+"""Of a scale's logarithm: a thousandth; twelve times what is usual; three times that of what a
+maker or a calibration states. More of that would make any arm fit any torques."""
 
-_BATCH = 128
-"""Models that are solved at once: many enough for numpy to be fast, few enough for memory."""
+KNOWN = ("links", "gain", "tilt", "zeros", "lag", "hoses and gears")
+"""Groups of that kind; hoses without a bound would carry an arm's weight."""
 
+_DOWN, _UP = 2.5, 0.6
+"""How fast a scale's prior falls below and above 1: in so many logarithms to a third."""
 
-@dataclass(frozen=True)
-class Level:
-    """How large a group of terms may be.
+_GRID = np.array([-7.0, -4.0, -2.5, -1.5, -0.75, 0.0, 0.5, 1.0, 1.6, 2.3])
+"""Logarithms of scales that are averaged over."""
 
-    Attributes:
-        scale: of its priors' standard deviations; 0 where it is absent.
-        weight: prior probability; those of a group add up to 1.
-    """
+_IDEAL_ODDS = float(np.log(0.3 / 0.7))
+"""Natural log of the odds that a log is a simulator's."""
 
-    scale: float
-    weight: float
-
-
-@dataclass(frozen=True)
-class Ideal:
-    """That none of some groups is there, as in a simulation.
-
-    Attributes:
-        groups: which.
-        weight: prior probability.
-    """
-
-    groups: tuple[str, ...]
-    weight: float
+_FLOOR = 1e-12
+"""Of a variance, by the largest: rounding makes no variance 0."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,94 +48,204 @@ class NormalEquations:
     precision: Array
     gradient: Array
 
+    def __add__(self, other: NormalEquations) -> NormalEquations:
+        """Of both together."""
+        return NormalEquations(self.precision + other.precision, self.gradient + other.gradient)
+
+    def marginal(self, kept: NDArray[np.int64], sds: Array) -> NormalEquations:
+        """What the samples say of some terms, whatever the others are.
+
+        Args:
+            kept: indices of the terms that stay, shape (K,).
+            sds: of the others' priors about 0, shape (N,); those of the kept terms do not count.
+        """
+        others = np.setdiff1d(np.arange(len(sds)), kept)
+        scale = sds[others]
+        # In units of the priors, so that one of width 0 is no special case.
+        inner = scale[:, None] * self.precision[np.ix_(others, others)] * scale
+        inner[np.diag_indices_from(inner)] += 1.0
+        across = self.precision[np.ix_(kept, others)] * scale
+        solved = np.linalg.solve(inner, np.column_stack([across.T, scale * self.gradient[others]]))
+        precision = self.precision[np.ix_(kept, kept)] - across @ solved[:, :-1]
+        gradient = self.gradient[kept] - across @ solved[:, -1]
+        seen = np.diag(precision) > 0  # rounding may leave less of what shows nothing
+        return NormalEquations(
+            (precision + precision.T) / 2 * np.outer(seen, seen), gradient * seen
+        )
+
+    def among(self, indices: NDArray[np.int64], count: int) -> NormalEquations:
+        """The same of `count` terms, of which these are the ones at `indices`."""
+        precision, gradient = np.zeros((count, count)), np.zeros(count)
+        precision[np.ix_(indices, indices)] = self.precision
+        gradient[indices] = self.gradient
+        return NormalEquations(precision, gradient)
+
 
 @dataclass(frozen=True, eq=False)
-class WeightedModel:
-    """One combination of levels.
+class TermPosterior:
+    """Of all terms.
 
     Attributes:
-        levels: scale of each group.
-        weight: posterior probability; those of all models add up to 1.
-        means: of all terms, shape (N,).
-        covariance: of the terms of interest, shape (I, I).
+        means: shape (N,).
+        covariance: shape (N, N).
+        sds: of the priors, shape (N,).
+        log_evidence: of the samples under these priors, up to what all priors share.
     """
 
-    levels: Mapping[str, float]
-    weight: float
     means: Array
     covariance: Array
+    sds: Array
+    log_evidence: float
 
 
-def posterior(normal: NormalEquations, sds: Array) -> tuple[Array, Array]:
-    """Means and covariance of the terms under priors of these standard deviations, shape (N,).
+def posterior(normal: NormalEquations, sds: Array) -> TermPosterior:
+    """Under normal priors about 0 of these standard deviations, shape (N,).
 
     Solved in units of the priors, so that a prior of width 0 is no special case.
     """
-    inner = np.eye(len(sds)) + sds[:, None] * normal.precision * sds
-    covariance = sds[:, None] * np.linalg.inv(inner) * sds
-    return covariance @ normal.gradient, covariance
+    from scipy.linalg import cho_factor, cho_solve
+
+    inner = sds[:, None] * normal.precision * sds
+    inner[np.diag_indices_from(inner)] += 1.0
+    factor = cho_factor(inner, lower=True, check_finite=False)
+    covariance = sds[:, None] * cho_solve(factor, np.eye(len(sds)), check_finite=False) * sds
+    means = covariance @ normal.gradient
+    log_det = 2 * float(np.sum(np.log(np.diag(factor[0]))))
+    evidence = 0.5 * float(means @ normal.gradient) - 0.5 * log_det
+    return TermPosterior(means, covariance, sds, evidence)
 
 
-def weighted_models(
+def likeliest_scales(
     normal: NormalEquations,
     sds: Array,
     groups: Mapping[str, NDArray[np.int64]],
-    levels: Mapping[str, Sequence[Level]],
-    interest: NDArray[np.int64],
-    ideal: Ideal | None = None,
-) -> tuple[WeightedModel, ...]:
-    """Every combination of levels that matters, the likeliest first.
+    start: Mapping[str, float],
+    steps: int,
+) -> dict[str, float]:
+    """Logarithms of each group's scale.
 
     Args:
         normal: the samples.
         sds: priors at scale 1, shape (N,).
         groups: indices of the terms of each.
-        levels: of each group.
-        interest: indices of the terms whose covariance is wanted, shape (I,).
-        ideal: groups that may be absent together.
+        start: where to begin.
+        steps: of a quasi-Newton search.
     """
-    count, names = len(sds), tuple(levels)
-    right_sides = np.concatenate([normal.gradient[:, None], np.eye(count)[:, interest]], axis=1)
-    combinations = list(product(*(levels[name] for name in names)))
-    log_weights = np.empty(len(combinations))
-    means = np.empty((len(combinations), count))
-    covariances = np.empty((len(combinations), len(interest), len(interest)))
-    for first in range(0, len(combinations), _BATCH):
-        batch = slice(first, first + _BATCH)
-        scaled = np.tile(sds, (len(combinations[batch]), 1))
-        for position, name in enumerate(names):
-            scales = np.array([levels_of[position].scale for levels_of in combinations[batch]])
-            scaled[:, groups[name]] *= scales[:, None]
-        inner = np.eye(count) + scaled[:, :, None] * normal.precision * scaled[:, None, :]
-        solved = np.linalg.solve(inner, scaled[:, :, None] * right_sides)
-        solved = scaled[:, :, None] * solved
-        means[batch], covariances[batch] = solved[:, :, 0], solved[:, interest, 1:]
-        log_dets = np.linalg.slogdet(inner)[1]
-        # The exact Gaussian evidence, up to what all models share.
-        log_weights[batch] = 0.5 * solved[:, :, 0] @ normal.gradient - 0.5 * log_dets
-    choices = [dict(zip(names, levels_of, strict=True)) for levels_of in combinations]
-    log_weights += [_log_prior(choice, ideal) for choice in choices]
-    weights = np.exp(log_weights - log_weights.max())
-    weights /= weights.sum()
-    order = [index for index in np.argsort(-weights) if weights[index] > _LEAST_WEIGHT]
-    total = float(weights[order].sum())
-    return tuple(
-        WeightedModel(
-            {name: level.scale for name, level in choices[index].items()},
-            float(weights[index]) / total,
-            means[index],
-            covariances[index],
-        )
-        for index in order
-    )
+    from scipy.optimize import minimize
+
+    names = tuple(groups)
+
+    def cost(logs: Array) -> tuple[float, Array]:
+        own = scaled(sds, groups, dict(zip(names, logs.tolist(), strict=True)))
+        found = posterior(normal, own)
+        squares = (found.means**2 + np.diag(found.covariance)) / np.maximum(own, 1e-150) ** 2 - 1
+        slopes = np.array([float(squares[groups[name]].sum()) for name in names])
+        priors = [_log_prior(log) for log in logs.tolist()]
+        value = found.log_evidence + sum(prior for prior, _ in priors)
+        return -value, -(slopes + np.array([slope for _, slope in priors]))
+
+    best: NDArray = minimize(
+        cost,
+        np.array([start.get(name, 0.0) for name in names]),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=[(_LEAST, _MOST_KNOWN if name in KNOWN else _MOST) for name in names],
+        options={"maxiter": steps, "maxfun": 2 * steps},
+    ).x
+    return dict(zip(names, best.tolist(), strict=True))
 
 
-def _log_prior(choice: Mapping[str, Level], ideal: Ideal | None) -> float:
-    """Of a combination: a mixture of the ideal one and of groups that are independent."""
-    if ideal is None:
-        return float(np.log([level.weight for level in choice.values()]).sum())
-    linked = [choice[name] for name in ideal.groups if name in choice]
-    others = [level.weight for name, level in choice.items() if name not in ideal.groups]
-    absent = ideal.weight * all(level.scale == 0 for level in linked)
-    independent = (1 - ideal.weight) * float(np.prod([level.weight for level in linked]))
-    return float(np.log(others).sum() + np.log(absent + independent))
+def scaled(sds: Array, groups: Mapping[str, NDArray[np.int64]], logs: Mapping[str, float]) -> Array:
+    """Priors at these scales, shape (N,)."""
+    own = sds.copy()
+    for name, indices in groups.items():
+        own[indices] *= np.exp(logs.get(name, 0.0))
+    return own
+
+
+def averaged(
+    found: TermPosterior,
+    groups: Mapping[str, NDArray[np.int64]],
+    logs: Mapping[str, float],
+    interest: NDArray[np.int64],
+) -> tuple[Array, Array]:
+    """Means and covariance of some terms, over how large each group may be.
+
+    To first order: what one group's scale changes is added up over the groups.
+
+    Args:
+        found: at the likeliest scales.
+        groups: indices of the terms of each.
+        logs: logarithms of the likeliest scales.
+        interest: indices of the terms that are wanted, shape (I,).
+
+    Returns:
+        Shapes (I,) and (I, I).
+    """
+    count = len(interest)
+    means, covariance = found.means[interest], found.covariance[np.ix_(interest, interest)]
+    shift, wider = np.zeros(count), np.zeros((count, count))
+    for name, indices in groups.items():
+        rows = np.concatenate([interest, np.setdiff1d(indices, interest)])
+        own = np.flatnonzero(np.isin(rows, indices))
+        precision = np.linalg.inv(found.covariance[np.ix_(rows, rows)])
+        gradient = precision @ found.means[rows]
+        priors = found.sds[rows[own]] / np.exp(logs[name])
+        precision[own, own] -= 1 / found.sds[rows[own]] ** 2
+        tried: list[tuple[float, NDArray, NDArray]] = []
+        for log in _GRID[(_MOST_KNOWN if name in KNOWN else _MOST) > _GRID]:
+            under = precision.copy()
+            under[own, own] += 1 / (priors * np.exp(log)) ** 2
+            spread = np.linalg.inv(under)
+            middle = spread @ gradient
+            evidence = 0.5 * float(middle @ gradient) - 0.5 * float(np.linalg.slogdet(under)[1])
+            weight = evidence - len(own) * log + _log_prior(float(log))[0]
+            tried.append((weight, middle[:count], spread[:count, :count]))
+        weights = np.exp(np.array([one[0] for one in tried]) - max(one[0] for one in tried))
+        weights /= weights.sum()
+        middle = sum(weight * one[1] for weight, one in zip(weights, tried, strict=True))
+        shift += middle - means
+        for weight, (_, at, spread) in zip(weights, tried, strict=True):
+            wider += weight * (spread - covariance + np.outer(at - middle, at - middle))
+    return means + shift, _at_least(covariance + wider, 0.5 * covariance)
+
+
+def without(
+    normal: NormalEquations,
+    found: TermPosterior,
+    groups: Mapping[str, NDArray[np.int64]],
+    logs: Mapping[str, float],
+    absent: Sequence[str],
+) -> tuple[TermPosterior, float]:
+    """The same terms where some groups are not there at all, as in a simulation.
+
+    Args:
+        normal: the samples.
+        found: with all groups.
+        groups: indices of the terms of each.
+        logs: logarithms of the likeliest scales.
+        absent: groups that are not there.
+
+    Returns:
+        The terms, and the probability of that before all else is weighed: 3 of 10 logs are such.
+    """
+    gone = [name for name in absent if name in groups]
+    sds = scaled(found.sds, groups, {name: _LEAST - logs[name] for name in gone})
+    ideal = posterior(normal, sds)
+    priors = sum(_log_prior(logs[name])[0] for name in gone)
+    odds = ideal.log_evidence - posterior(normal, found.sds).log_evidence - priors + _IDEAL_ODDS
+    return ideal, float(1 / (1 + np.exp(-np.clip(odds, -500, 500))))
+
+
+def _at_least(covariance: Array, least: Array) -> Array:
+    """A covariance that is nowhere below another one."""
+    root = np.linalg.cholesky(least + _FLOOR * np.max(np.diag(least)) * np.eye(len(least)))
+    inside = np.linalg.solve(root, np.linalg.solve(root, covariance).T)
+    values, axes = np.linalg.eigh((inside + inside.T) / 2)
+    return root @ (axes * np.maximum(values, 1.0)) @ axes.T @ root.T
+
+
+def _log_prior(log: float) -> tuple[float, float]:
+    """Of a scale's logarithm, up to a constant, and its slope."""
+    up, down = np.exp(log / _UP), np.exp(-log / _DOWN)
+    return -float(np.log(up + down)), -float((up / _UP - down / _DOWN) / (up + down))

@@ -14,13 +14,19 @@ from analysis.experiment import Claim, Preset
 from analysis.motion import Motion
 from analysis.payload.arm_log import read_arm_log
 from analysis.payload.arm_motion import arm_motion
-from analysis.payload.checks import arm_checks, payload_checks, simulation_check, sure_check
-from analysis.payload.detection import EFFORT, PayloadDetection, read_tare
+from analysis.payload.checks import (
+    arm_checks,
+    numbered,
+    payload_checks,
+    simulation_check,
+    sure_check,
+)
+from analysis.payload.detection import EFFORT, PayloadDetection, conventions_of, read_tares
 from analysis.payload.presets import PRESETS
-from analysis.payload.torque_fit import secant
+from analysis.payload.secant import secant
+from analysis.payload.which_arm import which_arm
 from analysis.record import Rebound
 from analysis.selection import Selection
-from recorders.simulators.arm.description import jaco, read_arm
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
 
@@ -30,8 +36,8 @@ if TYPE_CHECKING:
 
     from analysis.record import Tuning
 
-_AGREEMENT, _TARED_AGREEMENT = (0.25, 0.1), (0.05, 0.02)
-"""How far the cross-check may be off [kg], and by which fraction of the mass: it has no
+_AGREEMENT, _TARED_AGREEMENT = (0.06, 0.1), (0.03, 0.05)
+"""How far the cross-check may be off, by what the arm weighs and by the payload's mass: it has no
 friction."""
 
 _DISAGREEMENT = "record the empty gripper along the same motion and name it with --tare"
@@ -59,22 +65,26 @@ class PayloadExperiment:
 
     def detect(self, episode: Episode, selection: Selection, preset: str) -> PayloadDetection:
         """The arm's motion, and that of its empty run; see `Experiment.detect`."""
-        arm = jaco() if selection.arm is None else read_arm(*selection.arm)
+        chosen = which_arm(episode, selection.arm, selection.topic)
+        arm = chosen.arm
         log = read_arm_log(
             episode,
             arm,
             topic=selection.topic,
             start_s=selection.start_s,
             end_s=selection.end_s,
+            torque_constants=selection.torque_constants,
         )
         motion = arm_motion(log)
-        warnings = list(log.warnings)
+        warnings = [*chosen.remarks, *log.warnings]
         if selection.ball_options:
             warnings.append(f"{', '.join(selection.ball_options)} not used: this is a payload")
-        tare = None
-        if selection.tare is not None:
-            tare = read_tare(selection.tare, arm, log, selection.topic)
-            warnings += [f"tare: {warning}" for warning in tare.log.warnings]
+        card = selection.arm_card
+        if card is not None:
+            card.check_arm(arm, log.joints)
+        tares = read_tares(selection.tares, arm, log, selection.topic, selection.torque_constants)
+        for name, tare in numbered("tare", tares):
+            warnings += [f"{name}: {warning}" for warning in tare.log.warnings]
         fields = [field for field in (log.position, log.velocity, log.effort) if field is not None]
         start_ns = min(
             int(signal.stamps_ns[0])
@@ -87,8 +97,10 @@ class PayloadExperiment:
             log=log,
             start_ns=start_ns,
             motion=motion,
-            tare=tare,
+            tares=tares,
+            conventions=conventions_of(selection),
             warnings=tuple(warnings),
+            card=card,
         )
 
     def problem(self, detection: PayloadDetection, initial: Array) -> Problem:
@@ -102,12 +114,16 @@ class PayloadExperiment:
         def exact_fit(start: Array) -> FitResult:
             """All that is in the torques, which are linear in the mass: no start is needed."""
             del start
-            fit, centre = detection.fit, detection.fit.centre
-            extra = ()
+            fit, centre = detection.fit.held, detection.fit.held.centre
+            extra: tuple[ExtraEstimate, ...] = ()
             if centre.is_identifiable:
                 ends = np.array(centre.interval95)
                 extra = (ExtraEstimate("payload_com", "m", np.array(centre.com_m), ends),)
-            return FitResult(np.array([fit.mass_kg]), np.array([fit.interval95]), extra, fit)
+            if fit.inertia:
+                values, ends = np.array(fit.inertia.kg_m2), np.array(fit.inertia.interval95)
+                extra += (ExtraEstimate("payload_inertia", "kg·m²", values, ends),)
+            values, ends = np.array([fit.mass_kg]), np.array([fit.interval95])
+            return FitResult(values, ends, extra, detection.fit)
 
         return Problem(
             detection.observe(detection.effort_nm),
@@ -124,23 +140,33 @@ class PayloadExperiment:
         assert last.evaluation is not None
         simulated_nm = last.evaluation.episode.signals[EFFORT].values
         checks = [*arm_checks(detection.log, detection.motion, detection.arm)]
-        if detection.tare is not None:
-            own = arm_checks(detection.tare.log, detection.tare.motion, detection.arm)
-            checks += [replace(check, name=f"tare: {check.name}") for check in own]
-        checks += payload_checks(detection.fit, detection.arm, detection.log)
-        checks.append(simulation_check(detection.effort_nm - simulated_nm))
-        return (*checks, sure_check(detection.fit)) if fit else tuple(checks)
+        for name, tare in numbered("tare", detection.tares):
+            own = arm_checks(tare.log, tare.motion, detection.arm)
+            checks += [replace(check, name=f"{name}: {check.name}") for check in own]
+        found, arm = detection.fit, detection.arm
+        is_stated = len(detection.conventions) == 1
+        checks += payload_checks(found, arm, detection.log, is_stated=is_stated)
+        checks.append(simulation_check(detection.effort_nm - simulated_nm, found.scales_nm))
+        return (*checks, sure_check(found, arm)) if fit else tuple(checks)
 
     def cross_check(self, detection: PayloadDetection, estimate: Array) -> CrossCheck | None:
         """A line through the torques of 0 and 1 kg, with nothing else in them but offsets."""
         if not detection.physical:
             return None
-        fit, tare = detection.fit, detection.tare
-        empty = None if tare is None else tare.motion
-        mass_kg = secant(detection.arm, detection.motion, fit.convention, fit.lag_s, empty)
-        least_kg, fraction = _AGREEMENT if tare is None else _TARED_AGREEMENT
-        margin_kg = least_kg + fraction * float(estimate[0]) + 2 * fit.sd_kg
-        advice = _DISAGREEMENT if tare is None else _TARED_DISAGREEMENT
+        fit = detection.fit
+        mass_kg = secant(
+            detection.arm,
+            detection.motion,
+            fit.convention,
+            fit.lag_s,
+            com_m=fit.held.centre.likely_m,
+            scales_nm=fit.scales_nm,
+            tares=[tare.motion for tare in detection.tares],
+        )
+        share, fraction = _TARED_AGREEMENT if detection.tares else _AGREEMENT
+        arm_kg = sum(joint.link.mass_kg for joint in detection.arm.joints)
+        margin_kg = share * arm_kg + fraction * float(estimate[0]) + 2 * fit.held.sd_kg
+        advice = _TARED_DISAGREEMENT if detection.tares else _DISAGREEMENT
         agrees = bool(abs(mass_kg - estimate[0]) < margin_kg)
         return CrossCheck("secant through two rollouts", mass_kg, agrees, advice)
 

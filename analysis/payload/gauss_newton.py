@@ -1,227 +1,181 @@
-"""Gauss-Newton with re-estimated noise: all terms at once, and what noise is left of the torques.
-
-The noise is estimated for each joint, robust to spikes (weights that fall off beyond some standard
-deviations, iteratively reweighted least squares) and with its autocorrelation.
-"""
+"""Gauss-Newton over all terms at once: their values, their scales, and what noise is left."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
-from analysis.payload.arm_motion import ArmMotion
-from analysis.payload.evidence import NormalEquations, posterior
-from analysis.payload.fit_result import LEAST_MASS_KG
-from analysis.payload.torque_model import (
-    CENTRE,
-    MASS,
-    ArmModel,
-    Convention,
-    Linearization,
-    LoggedArm,
-    Terms,
-    smooth_sign,
+from analysis.payload.coloured_noise import Noises, estimated, unknown
+from analysis.payload.evidence import (
+    NormalEquations,
+    TermPosterior,
+    likeliest_scales,
+    posterior,
+    scaled,
 )
-from analysis.statistics import correlation_time
+from analysis.payload.held import LEAST_MASS_KG
+from analysis.payload.same_path import TorqueRows, rows_of
+from analysis.payload.torque_model import Convention, Linearization, LoggedArm
+from analysis.payload.torque_terms import CENTRE, INERTIA, MASS, Terms
 from tunenet_logs.arrays import Array
 
-_MOST_LAG_S = 0.2
-"""Lags are clipped here: the torques are linear in a lag only while it is short beside a motion."""
+_MOST_LAG_S, _MOST_TURN_RAD = 0.2, 0.2
+"""Lags, tilts and encoders' zeros are clipped here: torques are linear in them only while they are
+small."""
 
-_NO_ARM_SDS = (10.0, 5.0, 5.0)
-"""Offset, viscous and dry friction where torques may be anything [N·m, N·m s/rad, N·m]."""
+_START_SHARE, _LEAST_SHARE = 0.02, 2e-5
+"""Noise before anything is fitted, and of the best sensor, by what a joint is built for."""
 
-_SPIKE_SDS = 3.5
-"""Residual beyond which a sample counts for less: 1 of 2000 where noise is normal."""
+_ANY_OFFSET = 2.5
+"""Logarithm of a scale with which an offset explains any constant torque."""
 
-_LEAST_SD_NM = 2e-3
-"""No sensor's is less."""
-
-_MOST_SD_FALL = 5.0
-"""Factor by which the noise falls at most from one iteration to the next: a first fit that happens
-to be near a joint's torques would give it all the weight."""
-
-
-@dataclass(frozen=True, eq=False)
-class Noise:
-    """Of the torques of one log.
-
-    Attributes:
-        sds_nm: of each joint [N·m], shape (J,).
-        effective_sample_factor: how many samples are worth an independent one, shape (J,).
-        weights: of each sample, 1 but for spikes, and 0 of a joint that is left out, shape (T, J).
-    """
-
-    sds_nm: Array
-    effective_sample_factor: Array
-    weights: Array
-
-    @classmethod
-    def unknown(cls, effort_nm: Array, used: NDArray[np.bool_]) -> Noise:
-        """Before anything is fitted: 1 N·m.
-
-        Args:
-            effort_nm: [N·m], shape (T, J).
-            used: which joints count, shape (J,).
-        """
-        ones = np.ones(effort_nm.shape[1])
-        return cls(ones, ones, np.where(used, np.ones_like(effort_nm), 0.0))
-
-    def normal_equations(self, slopes: Array, target_nm: Array) -> NormalEquations:
-        """Weighted sums of slopes, shape (T, J, N), and of what they are to explain, (T, J)."""
-        weights = self.weights / (self.sds_nm**2 * self.effective_sample_factor)
-        flat = slopes.reshape(-1, slopes.shape[-1])
-        weighted = flat * weights.reshape(-1, 1)
-        return NormalEquations(flat.T @ weighted, weighted.T @ target_nm.ravel())
-
-    def reestimated(self, residual_nm: Array, slopes: Array, covariance: Array) -> Noise:
-        """The noise that the residuals of a fit show.
-
-        Args:
-            residual_nm: [N·m], shape (T, J).
-            slopes: of the fit, shape (T, J, N).
-            covariance: of its terms, shape (N, N).
-        """
-        deviations = np.abs(residual_nm) / self.sds_nm
-        weights = (_SPIKE_SDS / np.maximum(deviations, _SPIKE_SDS)) ** 2 * (self.weights > 0)
-        sds, factors = np.empty_like(self.sds_nm), np.empty_like(self.sds_nm)
-        for joint, residual in enumerate(residual_nm.T):
-            weighted = slopes[:, joint] * weights[:, joint, None]
-            precision = weighted.T @ slopes[:, joint] / self.sds_nm[joint] ** 2
-            precision = precision / self.effective_sample_factor[joint]
-            fitted = float(np.sum(precision * covariance))  # terms that this joint determines
-            count = float(weights[:, joint].sum())
-            squares = float(weights[:, joint] @ residual**2)
-            freedom = max(count - fitted, 1.0)
-            least = max(self.sds_nm[joint] / _MOST_SD_FALL, _LEAST_SD_NM)
-            sds[joint] = max(np.sqrt(squares / freedom), least)
-            factors[joint] = correlation_time(residual * np.sqrt(weights[:, joint]), round(fitted))
-        return Noise(sds, factors, weights)
+_SCALE_STEPS, _ROUGH_STEPS = 6, 3
+"""Of the search for scales, in each iteration: it goes on where the last one ended."""
 
 
 @dataclass(frozen=True, eq=False)
 class GaussNewton:
-    """A fit of all terms, at the scale 1 of their priors.
+    """A fit of all terms.
 
     Attributes:
-        logs: the log and, where there is one, its tare.
+        runs: the log and its tares.
         terms: the unknowns.
         convention: what the driver means by torque.
-        noises: of each log.
-        values: of all terms, shape (N,).
-        covariance: of them, shape (N, N).
-        log_evidence: up to what all models of these logs share.
+        known: what is known of the arm from elsewhere, about terms of 0; None for nothing.
+        noises: of each series of rows (`same_path.rows_of`) and joint.
+        found: the terms.
+        logs: logarithms of the scale of each group.
+        log_evidence: up to what all models of these runs share.
     """
 
-    logs: tuple[LoggedArm, ...]
+    runs: tuple[LoggedArm, ...]
     terms: Terms
     convention: Convention
-    noises: tuple[Noise, ...]
-    values: Array
-    covariance: Array
-    log_evidence: float
+    known: NormalEquations | None
+    noises: tuple[Noises, ...]
+    found: TermPosterior
+    logs: Mapping[str, float] = field(default_factory=dict)
+    log_evidence: float = -np.inf
 
     @classmethod
     def start(
         cls,
-        model: ArmModel,
-        terms: Terms,
-        motions: Sequence[ArmMotion],
+        runs: tuple[LoggedArm, ...],
         convention: Convention,
+        known: NormalEquations | None = None,
     ) -> GaussNewton:
         """All terms at 0, the mean of their priors."""
-        logs = tuple(
-            LoggedArm(model, terms, motion, convention, which)
-            for which, motion in enumerate(motions)
+        terms = runs[0].terms
+        beside = next((run.covered for run in runs if run.covered is not None), None)
+        log_s = runs[0].motion.seconds
+        paired = [log_s[beside]] * 2 if beside is not None else [log_s]
+        others = [run.motion.seconds for run in runs[1:] if run.covered is None]
+        noises = tuple(
+            tuple(unknown(seconds, _START_SHARE * scale) for scale in terms.scales_nm.tolist())
+            for seconds in (*paired, *others)
         )
-        noises = tuple(Noise.unknown(motion.effort, motion.used) for motion in motions)
-        values = np.zeros(len(terms.sds))
-        return cls(logs, terms, convention, noises, values, np.diag(terms.sds**2), -np.inf)
+        sds = terms.sds
+        nothing = TermPosterior(np.zeros(len(sds)), np.diag(sds**2), sds, -np.inf)
+        return cls(runs, terms, convention, known, noises, nothing)
 
-    def iterated(self, count: int) -> GaussNewton:
-        """Runs `count` Gauss-Newton iterations, re-estimating the noise after each."""
-        fit = self
-        for _ in range(count):
-            lines = [log.linearized(fit.values) for log in fit.logs]
-            values, covariance = posterior(fit.normal_equations(lines), fit.sds)
-            lags = fit.terms.indices("lag")
-            values[lags] = np.clip(values[lags], -_MOST_LAG_S, _MOST_LAG_S)
-            residuals_nm = [
-                log.torques_nm - line.predicted_nm - line.slopes @ (values - fit.values)
-                for log, line in zip(fit.logs, lines, strict=True)
-            ]
-            noises = tuple(
-                noise.reestimated(residual_nm, line.slopes, covariance)
-                for noise, residual_nm, line in zip(fit.noises, residuals_nm, lines, strict=True)
-            )
-            # A mass is 0 or more: its prior is half a normal one.
-            mass_sds = float(values[MASS]) / float(np.sqrt(covariance[MASS, MASS]))
-            evidence = _log_evidence(noises, values, covariance, fit.sds)
-            fit = replace(
-                fit,
-                noises=noises,
-                values=values,
-                covariance=covariance,
-                log_evidence=evidence + float(log_ndtr(mass_sds)),
-            )
-        return fit
+    def linearized(self) -> list[Linearization]:
+        """Of each run, about the terms that are found."""
+        return [run.linearized(self.found.means, self.convention) for run in self.runs]
 
-    @property
-    def sds(self) -> Array:
-        """Of the priors; those of the centre's first moments are by the mass, shape (N,)."""
-        sds = self.terms.sds.copy()
-        sds[CENTRE] *= max(abs(float(self.values[MASS])), LEAST_MASS_KG)
-        return sds
-
-    def normal_equations(self, lines: Sequence[Linearization]) -> NormalEquations:
-        """Of the terms themselves, linear about `values`.
+    def fitted(self, lines: Sequence[Linearization], at: Array, *, roughly: bool) -> GaussNewton:
+        """The terms of linear models, the scales of their groups, then the noise that is left.
 
         Args:
-            lines: of each log about `values`.
+            lines: of each run.
+            at: the values of the terms about which they are, shape (N,).
+            roughly: whether it is only to be compared with others. Sensors' offsets may then be
+                anything: what a driver means shows in how torques change, not in what they are.
         """
-        parts = [
-            noise.normal_equations(
-                line.slopes, log.torques_nm - line.predicted_nm + line.slopes @ self.values
-            )
-            for noise, log, line in zip(self.noises, self.logs, lines, strict=True)
-        ]
-        precision = np.sum([part.precision for part in parts], axis=0)
-        return NormalEquations(precision, np.sum([part.gradient for part in parts], axis=0))
+        rows = rows_of(self.runs, lines, self.convention)
+        normal = self._normal(rows, at)
+        steps = _ROUGH_STEPS if roughly else _SCALE_STEPS
+        searched = self.groups
+        if roughly:
+            del searched["offset"]
+        logs = likeliest_scales(normal, self._sds, searched, self.logs, steps)
+        logs["offset"] = _ANY_OFFSET if roughly else logs["offset"]
+        sds = scaled(self._sds, self.groups, logs)
+        found = posterior(normal, sds)
+        told = 1 - np.diag(found.covariance) / np.maximum(sds, 1e-150) ** 2
+        # A mass is 0 or more: its prior is half a normal one.
+        mass_sds = float(found.means[MASS]) / float(np.sqrt(found.covariance[MASS, MASS]))
+        evidence = found.log_evidence + float(log_ndtr(mass_sds))
+        for own, series in zip(self.noises, rows, strict=True):
+            target = series.after_nm(-at)
+            for joint in np.flatnonzero(series.used).tolist():
+                evidence += own[joint].log_likelihood(target[:, joint])
+        found = self._clipped(found)
+        least_nm = _LEAST_SHARE * self.terms.scales_nm
+        noises: list[Noises] = []
+        for own, series in zip(self.noises, rows, strict=True):
+            residual_nm = series.after_nm(found.means - at)
+            fitted = told[series.columns[:, series.own]].sum(axis=1)
+            noises.append(estimated(own, residual_nm, fitted, least_nm, roughly=roughly))
+        return replace(self, noises=tuple(noises), found=found, logs=logs, log_evidence=evidence)
 
+    def with_usual_offsets(self) -> GaussNewton:
+        """The same, sensors' offsets no longer of any size."""
+        return replace(self, logs={**self.logs, "offset": 0.0})
 
-def log_evidence_without_arm(motions: Sequence[ArmMotion], iterations: int) -> float:
-    """Log evidence that no arm is behind the torques, only offsets and friction of any size."""
-    total = 0.0
-    for motion in motions:
-        _, velocity, _ = motion.at(motion.seconds)
-        own = np.eye(velocity.shape[1])
-        parts = [np.broadcast_to(own, (*velocity.shape, len(own)))]
-        parts += [values[..., None] * own for values in (velocity, smooth_sign(velocity))]
-        slopes = np.concatenate(parts, axis=-1)
-        sds = np.repeat(_NO_ARM_SDS, len(own))
-        noise, evidence = Noise.unknown(motion.effort, motion.used), -np.inf
-        for _ in range(iterations):
-            values, covariance = posterior(noise.normal_equations(slopes, motion.effort), sds)
-            noise = noise.reestimated(motion.effort - slopes @ values, slopes, covariance)
-            evidence = _log_evidence([noise], values, covariance, sds)
-        total += evidence
-    return total
+    @property
+    def groups(self) -> dict[str, NDArray[np.int64]]:
+        """Terms that share a scale; the payload's mass has none, and nothing else that is 0."""
+        of = self.terms.of
+        return {
+            name: indices
+            for name, indices in of.items()
+            if name != "payload" and self.terms.sds[indices].all()
+        }
 
+    @property
+    def _sds(self) -> Array:
+        """At scale 1; those of the payload's centre and inertia are by its mass, shape (N,)."""
+        sds = self.terms.sds.copy()
+        mass_kg = max(abs(float(self.found.means[MASS])), LEAST_MASS_KG)
+        sds[CENTRE] *= mass_kg
+        sds[INERTIA] *= mass_kg
+        return sds
 
-def _log_evidence(noises: Sequence[Noise], values: Array, covariance: Array, sds: Array) -> float:
-    """By Laplace's approximation, the noise at its likeliest.
+    def normal_equations(self, lines: Sequence[Linearization], at: Array) -> NormalEquations:
+        """Of the terms themselves, linear about `at`."""
+        return self._normal(rows_of(self.runs, lines, self.convention), at)
 
-    Args:
-        noises: of each log.
-        values: of the terms at the maximum, shape (N,).
-        covariance: of them, shape (N, N).
-        sds: of their priors, shape (N,).
-    """
-    density = sum(-float(np.sum(noise.weights * np.log(noise.sds_nm))) for noise in noises)
-    scaled = covariance / np.multiply.outer(sds, sds)
-    volume = 0.5 * float(np.linalg.slogdet(scaled)[1])
-    return density + volume - 0.5 * float(np.sum((values / sds) ** 2))
+    def _normal(self, rows: Sequence[TorqueRows], at: Array) -> NormalEquations:
+        count = len(self.terms.sds)
+        precision, gradient = np.zeros((count, count)), np.zeros(count)
+        if self.known is not None:
+            precision += self.known.precision
+            gradient += self.known.gradient
+        for noises, series in zip(self.noises, rows, strict=True):
+            target = series.after_nm(-at)
+            for joint in np.flatnonzero(series.used).tolist():
+                columns, slopes = series.columns[joint], series.slopes[:, joint]
+                weighed = noises[joint].weighed(slopes)
+                precision[np.ix_(columns, columns)] += slopes.T @ weighed
+                gradient[columns] += weighed.T @ target[:, joint]
+        return NormalEquations(precision, gradient)
+
+    def residual_nm(self, run: int, lines: Sequence[Linearization], change: Array) -> Array:
+        """Measured less predicted, the terms changed by `change` from where lines are, (T, J)."""
+        measured_nm = self.runs[run].torques_nm(self.convention)
+        return measured_nm - lines[run].predicted_nm - lines[run].moved_nm(change)
+
+    def _clipped(self, found: TermPosterior) -> TermPosterior:
+        means = found.means.copy()
+        for name, most in (
+            ("lag", _MOST_LAG_S),
+            ("tilt", _MOST_TURN_RAD),
+            ("zeros", _MOST_TURN_RAD),
+        ):
+            indices = self.terms.of[name]
+            means[indices] = np.clip(means[indices], -most, most)
+        return replace(found, means=means)

@@ -1,8 +1,8 @@
-"""What a driver reports as torques, as a function of terms with priors.
+"""What a driver reports as torques, as a function of the terms of `torque_terms.py`.
 
-It is the model's torque with errors of the links, times a gain, late by a lag, plus friction and an
-offset. Each is a term: how it changes the torques, and how large it usually is. A run with an empty
-gripper has the same terms, without the payload.
+It is the torque of a rigid arm (its links a little other than the model's, its base not quite
+level, its encoders off zero) and of its rotors and gears, times a gain, late by a lag, plus what
+sensors and hoses add. A run with an empty gripper has the same terms, without the payload.
 
 The model is Pinocchio's regressor: the torques of a rigid arm are linear in the masses, first
 moments and inertias of its links, and of what it holds (Atkeson, An and Hollerbach 1986).
@@ -10,7 +10,6 @@ moments and inertias of its links, and of what it holds (Atkeson, An and Hollerb
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
@@ -19,37 +18,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.payload.arm_motion import ArmMotion
+from analysis.payload.torque_terms import (
+    CENTRE,
+    MASS,
+    OWN_TERMS,
+    PAYLOAD_TERMS,
+    WAVES,
+    Terms,
+)
 from recorders.simulators.arm.description import PAYLOAD_RADIUS_M, Arm
-from recorders.simulators.arm.dynamics import UPRIGHT_GRAVITY_M_S2
 from recorders.simulators.arm.rigid_bodies import rotation_from_rpy
+from recorders.simulators.base import GRAVITY_M_S2
 from tunenet_logs.arrays import Array
-
-PAYLOAD_SD_KG = 5.0
-CENTRE_SD_M = 0.05
-"""Wide: what an arm lifts, and where in a hand its centre may be."""
-
-OFFSET_SD_NM = 0.3
-FRICTION_SD_NM = 0.5
-GAIN_SD = 0.03
-LINK_MASS_SD = 0.05
-LINK_CENTRE_SD_M = 0.003
-LAG_SD_S = 0.03
-"""Usual errors of joint torque sensors and arm models; a gain and a link's mass as fractions,
-friction dry and per rad/s. The scale of each group is fitted beside (`torque_fit.LEVELS`)."""
-
-DRIFT_SD_NM = 0.05
-"""Of a sensor's zero, between the empty run and the other."""
 
 _SIGN_RAD_S = 0.015
 """Speed below which dry friction fades: a motion's zero crossing is not known better."""
 
-MASS = 0
-CENTRE = slice(1, 4)
-"""Indices of the payload's terms: its mass [kg] and its first moments [kg·m]."""
+_SHAPE_RAD_S = (0.03, 0.1, 0.3)
+"""Speeds over which friction falls from its peak: Stribeck's are between them."""
 
 _BODY_PARAMETERS = 10
 """Of one body in Pinocchio: mass, first moments (3), and the inertia about the joint's frame as
 xx, xy, yy, xz, yz, zz, which is its lower triangle by rows."""
+
+_LEAST_KG = 1e-6
+"""Of a link, whatever a fit makes of it on its way."""
+
+_OFFSET, _LOAD_WAY, _LOAD, _GAIN = 0, 2, 7, 9
+_GEAR = slice(1, 9)
+_BESIDE = [_OFFSET, *range(10, OWN_TERMS)]
+"""Of a joint's own terms: what is a gear's, between the arm and the sensor; and what is not."""
 
 
 @dataclass(frozen=True)
@@ -69,120 +67,137 @@ CONVENTIONS = tuple(Convention(sign, full) for full in (True, False) for sign in
 
 
 @dataclass(frozen=True, eq=False)
-class ArmTorques:
-    """Of an arm along a motion.
+class RigidTorques:
+    """Of an arm along a motion, with all that its links and payload are found to be.
 
     Attributes:
-        empty_nm: with nothing in the gripper [N·m], shape (T, J).
-        payload: what a payload adds: per kg in the tool frame's origin, then per kg·m of its
-            centre's offset along the frame's x, y, z, shape (T, J, 4).
-        link_masses: per fraction that a link with all its inertia is heavier, shape (T, J, L).
-        link_centres: per m that its centre is off along x, y, z, shape (T, J, 3 L).
+        total_nm: shape (T, J).
+        slopes: by the payload's terms, the links', the tilt and the encoders' zeros: (T, J, C).
     """
 
-    empty_nm: Array
-    payload: Array
-    link_masses: Array
-    link_centres: Array
+    total_nm: Array
+    slopes: Array
 
 
 class ArmModel:
     """The arm in Pinocchio.
 
     Args:
-        arm: checked numbers; it stands upright.
+        arm: checked numbers; it stands upright, but for a tilt.
     """
 
     def __init__(self, arm: Arm) -> None:
         self._library: Any = import_module("pinocchio")
         self._model: Any = self._library.buildModelFromXML(arm.urdf())
-        self._model.gravity.linear = np.array(UPRIGHT_GRAVITY_M_S2)
         self._data: Any = self._model.createData()
-        links = self._model.inertias[1:]
-        self._links = np.stack([link.toDynamicParameters() for link in links])
+        self._links = np.stack([one.toDynamicParameters() for one in self._model.inertias[1:]])
         self._payload = _payload_parameters(arm)
 
-    def torques(self, position: Array, velocity: Array, acceleration: Array) -> ArmTorques:
-        """Along a motion [rad, rad/s, rad/s^2], each of shape (T, J)."""
-        compute = self._library.computeJointTorqueRegressor
+    def empty_nm(self, position: Array, velocity: Array, acceleration: Array) -> Array:
+        """Torques of the arm as described, along a motion of shape (T, J)."""
+        self._become(self._links, np.zeros(2))
         rows = zip(position, velocity, acceleration, strict=True)
-        stacked = np.stack([compute(self._model, self._data, *row).copy() for row in rows])
-        regressor = stacked.reshape(*position.shape, -1)  # of one joint, rows are flat
-        by_link = regressor.reshape(*position.shape, -1, _BODY_PARAMETERS)
-        masses = self._links[:, :1]
-        return ArmTorques(
-            empty_nm=regressor @ self._links.ravel(),
-            payload=by_link[:, :, -1] @ self._payload,
-            link_masses=np.einsum("tjlp,lp->tjl", by_link, self._links),
-            link_centres=(by_link[..., 1:4] * masses).reshape(*position.shape, -1),
-        )
+        model, data, rnea = self._model, self._data, self._library.rnea
+        return np.stack([rnea(model, data, *row).copy() for row in rows])
 
     def gravity_nm(self, position: Array) -> Array:
-        """Torques of gravity alone on the empty arm [N·m], shape (T, J)."""
+        """Torques of gravity alone on the arm as described [N·m], shape (T, J)."""
+        self._become(self._links, np.zeros(2))
+        return self._held_nm(position)
+
+    def torques(
+        self, position: Array, velocity: Array, acceleration: Array, values: Array, *, held: bool
+    ) -> RigidTorques:
+        """Along a motion [rad, rad/s, rad/s^2], each of shape (T, J), with their slopes.
+
+        Args:
+            position: of each joint.
+            velocity: likewise.
+            acceleration: likewise.
+            values: of the terms, shape (N,): the payload's, the links', tilt and zeros are used.
+            held: whether the payload is there.
+        """
+        count = position.shape[1]
+        first = PAYLOAD_TERMS
+        masses, centres_m, inertias, tilt = np.split(
+            values[first : first + 5 * count + 2], [count, 4 * count, 5 * count]
+        )
+        bodies = self._links * (1 + masses[:, None])
+        bodies[:, 1:4] += self._links[:, :1] * centres_m.reshape(count, 3)
+        bodies[:, 4:] += self._links[:, 4:] * inertias[:, None]
+        if held:
+            bodies[-1] += self._payload @ values[:first]
+        self._become(bodies, tilt)
+        model, data, library = self._model, self._data, self._library
+        regressors, by_angle = [], []
+        for row in zip(position, velocity, acceleration, strict=True):
+            regressors.append(library.computeJointTorqueRegressor(model, data, *row).copy())
+            by_angle.append(library.computeRNEADerivatives(model, data, *row)[0].copy())
+        regressor = np.stack(regressors).reshape(*position.shape, count, _BODY_PARAMETERS)
+        slopes = np.zeros((*position.shape, first + 6 * count + 2))
+        if held:
+            slopes[..., :first] = regressor[:, :, -1] @ self._payload
+        at = first
+        slopes[..., at : at + count] = np.einsum("tjlp,lp->tjl", regressor, self._links)
+        at += count
+        by_centre = regressor[..., 1:4] * self._links[:, :1]
+        slopes[..., at : at + 3 * count] = by_centre.reshape(*position.shape, -1)
+        at += 3 * count
+        slopes[..., at : at + count] = np.einsum(
+            "tjlp,lp->tjl", regressor[..., 4:], self._links[:, 4:]
+        )
+        at += count
+        for axis in range(2):
+            model.gravity.linear = GRAVITY_M_S2 * np.eye(3)[axis]
+            slopes[..., at + axis] = self._held_nm(position)
+        slopes[..., at + 2 :] = np.stack(by_angle)
+        return RigidTorques(np.einsum("tjlp,lp->tj", regressor, bodies), slopes)
+
+    def _held_nm(self, position: Array) -> Array:
         compute = self._library.computeGeneralizedGravity
         return np.stack([compute(self._model, self._data, row).copy() for row in position])
 
+    def _become(self, bodies: Array, tilt: Array) -> None:
+        """Give the links these parameters, shape (J, 10), and gravity this tilt, shape (2,)."""
+        down = -np.sqrt(max(1.0 - float(tilt @ tilt), 0.0))
+        self._model.gravity.linear = GRAVITY_M_S2 * np.array([*tilt, down])
+        for index, body in enumerate(bodies, 1):
+            own = body.copy()
+            own[0] = max(own[0], _LEAST_KG)
+            self._model.inertias[index] = self._library.Inertia.FromDynamicParameters(own)
+
 
 def _payload_parameters(arm: Arm) -> Array:
-    """Parameters of the last joint's body, per kg and per kg·m of a payload, shape (10, 4).
+    """Parameters of the last joint's body, by the payload's terms, shape (10, 10).
 
-    Its own inertia is a solid ball's. The square of its centre's offset is left out: the torques
-    of an arm do not show it.
+    Its mass brings the inertia of a solid ball. The square of its centre's offset is left out: the
+    torques of an arm do not show it.
     """
     rotation = rotation_from_rpy(arm.tool_from_last_rpy)
     tool = np.array(arm.tool_from_last_m)
-    parameters = np.zeros((_BODY_PARAMETERS, 4))
-    parameters[0, 0] = 1.0
-    parameters[1:4, 0] = tool
-    parameters[1:4, 1:] = rotation
+    parameters = np.zeros((_BODY_PARAMETERS, PAYLOAD_TERMS))
+    parameters[0, MASS] = 1.0
+    parameters[1:4, MASS] = tool
+    parameters[1:4, CENTRE] = rotation
     ball = 0.4 * PAYLOAD_RADIUS_M**2 * np.eye(3)
     inertias = [ball + tool @ tool * np.eye(3) - np.outer(tool, tool)]
     for axis in rotation.T:
         crossed = np.outer(tool, axis)
         inertias.append(2 * tool @ axis * np.eye(3) - crossed - crossed.T)
+    inertias += [rotation @ moment @ rotation.T for moment in moments()]
     for column, inertia in enumerate(inertias):
         parameters[4:, column] = inertia[np.tril_indices(3)]
     return parameters
 
 
-@dataclass(frozen=True, eq=False)
-class Terms:
-    """The unknowns, the payload's first.
-
-    Attributes:
-        names: in words, of each.
-        groups: that are scaled together, of each.
-        sds: of the priors about 0, shape (N,), in the units of the terms.
-    """
-
-    names: tuple[str, ...]
-    groups: tuple[str, ...]
-    sds: Array
-
-    def indices(self, group: str) -> NDArray[np.int64]:
-        """Of a group's terms."""
-        return np.flatnonzero(np.array([name == group for name in self.groups]))
-
-
-def make_terms(joints: Sequence[str], logs: int) -> Terms:
-    """For the joints of an arm, and a log (1) or a log with its tare (2)."""
-    numbers = range(1, len(joints) + 1)
-    axes = ("x", "y", "z")
-    table: list[tuple[str, str, float]] = [("payload", "payload", PAYLOAD_SD_KG)]
-    table += [(f"centre {axis}", "centre", CENTRE_SD_M) for axis in axes]
-    table += [(f"offset of joint {n}", "offset", OFFSET_SD_NM) for n in numbers]
-    table += [(f"viscous friction of joint {n}", "friction", FRICTION_SD_NM) for n in numbers]
-    table += [(f"dry friction of joint {n}", "friction", FRICTION_SD_NM) for n in numbers]
-    table += [(f"gain of joint {n}", "gain", GAIN_SD) for n in numbers]
-    table += [(f"mass of link {n}", "links", LINK_MASS_SD) for n in numbers]
-    table += [
-        (f"centre {axis} of link {n}", "links", LINK_CENTRE_SD_M) for n in numbers for axis in axes
-    ]
-    table += [(name, "lag", LAG_SD_S) for name in ("lag", "lag of the tare")[:logs]]
-    if logs > 1:
-        table += [(f"drift of joint {n}", "drift", DRIFT_SD_NM) for n in numbers]
-    names, groups, sds = zip(*table, strict=True)
-    return Terms(names, groups, np.array(sds))
+def moments() -> list[Array]:
+    """Tensors of the six moments of inertia, in the order of the payload's terms, each (3, 3)."""
+    tensors = []
+    for row, column in zip(*np.tril_indices(3), strict=True):
+        tensor = np.zeros((3, 3))
+        tensor[row, column] = tensor[column, row] = 1.0
+        tensors.append(tensor)
+    return tensors
 
 
 def smooth_sign(velocity: Array) -> Array:
@@ -192,70 +207,91 @@ def smooth_sign(velocity: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Linearization:
-    """The torques about some values of the terms: `predicted_nm + slopes @ (values - these)`.
+    """Torques about some values of the terms.
 
     Attributes:
         predicted_nm: at these values [N·m], shape (T, J).
-        slopes: derivatives by the terms, shape (T, J, N).
+        columns: which terms each joint's slopes are by, shape (J, C).
+        slopes: derivatives, shape (T, J, C).
     """
 
     predicted_nm: Array
+    columns: NDArray[np.int64]
     slopes: Array
+
+    def moved_nm(self, change: Array) -> Array:
+        """By how much torques change with the terms, by `change` of shape (N,): (T, J)."""
+        return np.einsum("tjc,jc->tj", self.slopes, change[self.columns])
 
 
 @dataclass(frozen=True, eq=False)
 class LoggedArm:
-    """One log's torques as a function of the terms.
+    """One run's torques as a function of the terms.
 
     Attributes:
         model: the arm's.
-        terms: of all logs that are fitted together.
+        terms: of all runs that are fitted together.
         motion: this one's.
-        convention: what its driver means by torque.
-        which: 0 for the log itself, 1 for its tare.
+        run: 0 for the log itself, from 1 for its tares.
+        covered: of a tare that is along the log's path, which of the log's times it covers; None
+            for any other run.
     """
 
     model: ArmModel
     terms: Terms
     motion: ArmMotion
-    convention: Convention
-    which: int
+    run: int
+    covered: NDArray[np.bool_] | None = None
+
+    def torques_nm(self, convention: Convention) -> Array:
+        """As measured, with the joint's sign [N·m], shape (T, J)."""
+        return convention.sign * self.motion.effort
 
     @property
-    def torques_nm(self) -> Array:
-        """As measured, with the joint's sign [N·m], shape (T, J)."""
-        return self.convention.sign * self.motion.effort
+    def columns(self) -> NDArray[np.int64]:
+        """Which terms torques depend on, for each joint, shape (J, C).
 
-    def linearized(self, values: Array) -> Linearization:
+        First what all joints share, the lag last of it; then the joint's own; then its drifts.
+        """
+        joints = self.terms.joints
+        common = np.arange(PAYLOAD_TERMS + 6 * joints + 2)
+        own = len(common) + np.arange(joints)[:, None] * OWN_TERMS + np.arange(OWN_TERMS)
+        lag = len(common) + joints * OWN_TERMS + self.run * (1 + 2 * joints)
+        drifts = lag + 1 + np.arange(joints)[:, None] + joints * np.arange(2)
+        return np.hstack([np.tile(np.append(common, lag), (joints, 1)), own, drifts])
+
+    def linearized(self, values: Array, convention: Convention) -> Linearization:
         """The torques and their derivatives about values of the terms, shape (N,)."""
-        indices = {group: self.terms.indices(group) for group in dict.fromkeys(self.terms.groups)}
-        lag = int(indices["lag"][self.which])
-        lag_s = float(values[lag])
-        position, velocity, acceleration = self.motion.at(self.motion.seconds - lag_s)
-        torques = self.model.torques(position, velocity, acceleration)
-        own = np.eye(position.shape[1])
-        gains = 1 + values[indices["gain"]]
-        slopes = np.zeros((*position.shape, len(values)))
-        if self.which == 0:
-            slopes[..., :4] = torques.payload
-            if "drift" in indices:
-                slopes[..., indices["drift"]] = own
-        slopes[..., indices["links"]] = np.concatenate(
-            [torques.link_masses, torques.link_centres], axis=-1
-        )
-        masses = [MASS, 1, 2, 3, *indices["links"]]
-        full_nm = torques.empty_nm + slopes[..., masses] @ values[masses]
-        slopes[..., masses] *= gains[None, :, None]
-        slopes[..., indices["offset"]] = own
-        viscous, dry = np.split(indices["friction"], 2)
-        slopes[..., viscous] = velocity[..., None] * own
-        slopes[..., dry] = smooth_sign(velocity)[..., None] * own
-        gravity_nm = 0.0 if self.convention.has_gravity else self.model.gravity_nm(position)
-        felt_nm = full_nm + slopes[..., indices["friction"]] @ values[indices["friction"]]
-        slopes[..., indices["gain"]] = felt_nm[..., None] * own
-        slopes[..., indices["friction"]] *= gains[None, :, None]
-        added = [*indices["offset"], *indices.get("drift", [])]
-        predicted = gains * felt_nm - gravity_nm + slopes[..., added] @ values[added]
-        rates = np.gradient(gains * felt_nm - gravity_nm, self.motion.seconds, axis=0)
-        slopes[..., lag] = -rates
-        return Linearization(predicted, slopes)
+        columns, joints, seconds = self.columns, self.terms.joints, self.motion.seconds
+        first = columns.shape[1] - OWN_TERMS - 2
+        of_joint = values[columns[:, first : first + OWN_TERMS]]
+        zeros = values[first - 1 - joints : first - 1]
+        said, velocity, acceleration = self.motion.at(seconds - values[columns[0, first - 1]])
+        rigid = self.model.torques(said + zeros, velocity, acceleration, values, held=self.run == 0)
+        own = _own_features(rigid.total_nm, said, velocity, acceleration)
+        gains = 1 + of_joint[:, _GAIN]
+        carried = 1 + of_joint[:, _LOAD] * np.sign(rigid.total_nm) * own[..., _LOAD_WAY]
+        felt_nm = rigid.total_nm + np.einsum("tjc,jc->tj", own[..., _GEAR], of_joint[:, _GEAR])
+        own[..., _GEAR] *= gains[:, None]
+        own[..., _GAIN] = felt_nm
+        drifts = np.stack([np.ones_like(said), np.zeros_like(said)], axis=-1)
+        drifts[..., 1] = np.linspace(-1.0, 1.0, len(seconds))[:, None]
+        beside = np.einsum("tjc,jc->tj", own[..., _BESIDE], of_joint[:, _BESIDE])
+        beside += np.einsum("tjc,jc->tj", drifts, values[columns[:, -2:]])
+        moving_nm = gains * felt_nm + beside
+        if not convention.has_gravity:
+            moving_nm = moving_nm - self.model.gravity_nm(said)
+        lags = -np.gradient(moving_nm, seconds, axis=0)[..., None]
+        shared = rigid.slopes * (gains * carried)[..., None]
+        return Linearization(moving_nm, columns, np.concatenate([shared, lags, own, drifts], -1))
+
+
+def _own_features(rigid_nm: Array, position: Array, velocity: Array, acceleration: Array) -> Array:
+    """What a joint's own terms multiply, in their order, shape (T, J, OWN_TERMS); gains are 0."""
+    way = smooth_sign(velocity)
+    slow = [way * np.exp(-((velocity / width) ** 2)) for width in _SHAPE_RAD_S]
+    angles = [wave * position for wave in range(1, WAVES + 1)]
+    waves = [turn(angle) for angle in angles for turn in (np.cos, np.sin)]
+    ones, load = np.ones_like(way), np.abs(rigid_nm) * way
+    gear = [velocity, way, *slow, way**2, load, acceleration]
+    return np.stack([ones, *gear, np.zeros_like(way), *waves], axis=-1)

@@ -33,17 +33,17 @@ FITS = (
     ),
     Fault(
         "the error of the centre of mass has the mass's part with the wrong sign",
-        "analysis/payload/torque_fit.py",
+        "analysis/payload/held.py",
         "np.concatenate([-com_m[:, None], np.eye(3)], axis=1)",
         "np.concatenate([com_m[:, None], np.eye(3)], axis=1)",
         ("tests/analysis/payload/test_torque_fit.py", "tests/analysis/payload/test_payload.py"),
     ),
     Fault(
         "a sample of an arm is fresh only if all of its joints changed",
-        "analysis/payload/arm_log.py",
-        "new[1:] = np.any(values[1:] != values[:-1], axis=1)",
-        "new[1:] = np.all(values[1:] != values[:-1], axis=1)",
-        ("tests/analysis/payload/test_arm_log.py",),
+        "analysis/payload/new_samples.py",
+        "changes = np.any(values[1:] != values[:-1], axis=1)",
+        "changes = np.all(values[1:] != values[:-1], axis=1)",
+        ("tests/analysis/payload/test_arm_log.py", "tests/analysis/payload/test_rests.py"),
     ),
     Fault(
         "the restitution of a simulated ball rises with the speed of an impact",

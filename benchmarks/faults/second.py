@@ -20,8 +20,8 @@ FITS = (
     Fault(
         "torques that lag are compared with where the arm will be",
         "analysis/payload/torque_model.py",
-        "self.motion.at(self.motion.seconds - lag_s)",
-        "self.motion.at(self.motion.seconds + lag_s)",
+        "self.motion.at(seconds - values[columns[0, first - 1]])",
+        "self.motion.at(seconds + values[columns[0, first - 1]])",
         ("tests/analysis/payload/test_torque_fit.py",),
     ),
     Fault(

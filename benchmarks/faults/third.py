@@ -19,16 +19,16 @@ FITS = (
     ),
     Fault(
         "the last sample of a burst stays as late as it came",
-        "tunenet_logs/late_stamps.py",
+        "tunenet_logs/bursts.py",
         "            return at + 1\n",
         "            return at\n",
         ("tests/tunenet_logs/test_late_stamps.py",),
     ),
     Fault(
         "beside a tare, the second opinion forgets that a driver's torques have another sign",
-        "analysis/payload/torque_fit.py",
-        "residual - np.mean(convention.sign * tare.effort - tare_nm, axis=0)",
-        "residual - np.mean(tare.effort - tare_nm, axis=0)",
+        "analysis/payload/secant.py",
+        "zeros_nm.append(np.mean(convention.sign * tare.effort - tare_nm, axis=0))",
+        "zeros_nm.append(np.mean(tare.effort - tare_nm, axis=0))",
         ("tests/analysis/payload/test_torque_fit.py",),
     ),
     Fault(

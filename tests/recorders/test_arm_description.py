@@ -181,6 +181,36 @@ def test_an_inertia_that_is_no_bodys_is_taken_as_the_nearest(tmp_path: Path):
     assert np.abs(joint_efforts_nm(arm, path) - by_pinocchio(arm.urdf(), path)).max() < 1e-9
 
 
+def test_a_moment_below_0_is_raised_and_said(tmp_path: Path):
+    """Identified parameters have such; gravity's torques are the same."""
+    moments = 'ixx="-0.1" iyy="0.2" izz="0.15"'
+    body = GRASPING.replace(link("upper", 3.0), link("upper", 3.0, moments=moments))
+    arm, sound = arm_of(tmp_path, body), arm_of(tmp_path, GRASPING)
+    (remark,) = arm.remarks
+    assert "link upper" in remark
+    assert "-0.1 kg m²" in remark
+    still = JointPath(np.arange(3.0), np.full((3, 3), 0.4), *np.zeros((2, 3, 3)))
+    assert joint_efforts_nm(arm, still) == pytest.approx(joint_efforts_nm(sound, still), abs=1e-9)
+    assert np.abs(joint_efforts_nm(arm, still) - by_pinocchio(arm.urdf(), still)).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    "inertial", ['<mass value="-1"/>', '<mass value="nan"/>', '<inertia ixx="-1"/>', ""]
+)
+def test_what_a_base_weighs_is_never_asked(tmp_path: Path, inertial: str):
+    base = f'<link name="base"><inertial>{inertial}</inertial></link>'
+    arm = arm_of(tmp_path, GRASPING.replace(link("base", None), base))
+    assert arm == arm_of(tmp_path, GRASPING)
+
+
+def test_a_hand_that_is_not_mounted_is_not_of_the_arm(tmp_path: Path):
+    hand = link("palm", 5.0) + link("thumb") + joint("close", "palm", "thumb", "fixed")
+    assert arm_of(tmp_path, GRASPING + hand) == arm_of(tmp_path, GRASPING)
+    for tool in ("palm", "thumb"):
+        with pytest.raises(UsageError, match=f"link palm, so {tool} is on no arm; add a fixed"):
+            arm_of(tmp_path, GRASPING + hand, tool)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
@@ -192,7 +222,6 @@ def test_an_inertia_that_is_no_bodys_is_taken_as_the_nearest(tmp_path: Path):
         ('value="3.0"', 'value="heavy"', ["link upper", "heavy"]),
         ('value="3.0"', 'value="3e9"', ["link upper", "3e9", "kg"]),
         ('<mass value="3.0"/>', "", ["link upper", "mass"]),
-        ('ixx="0.02"', 'ixx="-0.02"', ["link upper", "inertia"]),
         ('xyz="0.1 0.05 0.3"', 'xyz="0.1 0.05"', ["joint turn", "3 finite numbers"]),
         ('xyz="0.1 0.05 0.3"', 'xyz="0.1 0.05 1e9"', ["joint turn", "1e9"]),
         ('xyz="0 1 2"', 'xyz="0 0 0"', ["joint turn", "axis"]),

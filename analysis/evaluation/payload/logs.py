@@ -191,9 +191,9 @@ def _tuned_one(case: LogCase, number: int) -> list[float]:
         disturbances = Disturbances(
             torque_noise_nm=case.noise_nm, rate_hz=_NOISE_RATE_HZ, noise_seed=2 * seed
         )
-    empty = driver_episode(arm, moved, None, disturbances.another_run()) if case.has_tare else None
+    tares = [driver_episode(arm, moved, None, disturbances.another_run())] * case.has_tare
     episode = driver_episode(arm, moved, Payload(mass_kg, (x, y, z)), disturbances)
-    tuning = tune_episode(episode, Options(task="payload", selection=Selection(tare=empty)))
+    tuning = tune_episode(episode, Options(task="payload", selection=Selection(tares=tuple(tares))))
     nothing = float("nan")
     fit = tuning.trace.fit if tuning.trace else None
     if tuning.estimate is None or fit is None:

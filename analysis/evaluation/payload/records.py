@@ -11,6 +11,8 @@ import numpy as np
 from analysis.evaluation.export import csv_text, json_text
 from analysis.evaluation.payload.logs import LogRow
 from analysis.evaluation.payload.masses import SETS, MassOrder, MassRow
+from analysis.evaluation.payload.stranger_conventions import ConventionRow
+from analysis.evaluation.payload.strangers import StrangerRow
 
 
 def mass_records(rows: Sequence[MassRow], order: MassOrder) -> list[dict[str, Any]]:
@@ -41,8 +43,24 @@ def log_records(rows: Sequence[LogRow]) -> list[dict[str, Any]]:
     return records
 
 
-def payload_json(masses: Sequence[MassRow], logs: Sequence[LogRow], order: MassOrder) -> str:
-    """Everything: `masses` for each seed, with the mean over all, and `logs`."""
+def stranger_records(rows: Sequence[StrangerRow]) -> list[dict[str, Any]]:
+    """One record for each cell, without the tares and with them."""
+    records = []
+    for row in rows:
+        record = asdict(row)
+        record["case"], record["size"] = row.case.label, row.case.size
+        records.append(record)
+    return records
+
+
+def payload_json(
+    masses: Sequence[MassRow],
+    logs: Sequence[LogRow],
+    order: MassOrder,
+    strangers: Sequence[StrangerRow] = (),
+    conventions: Sequence[ConventionRow] = (),
+) -> str:
+    """Everything: `masses` for each seed, with the mean over all, and the rows of the others."""
     summary = [
         {
             "method": row.method.name,
@@ -58,6 +76,8 @@ def payload_json(masses: Sequence[MassRow], logs: Sequence[LogRow], order: MassO
         "summary": summary,
         "masses": mass_records(masses, order),
         "logs": log_records(logs),
+        "strangers": stranger_records(strangers),
+        "conventions": [asdict(row) for row in conventions],
     }
     return json_text(content)
 

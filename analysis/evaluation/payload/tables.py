@@ -8,10 +8,14 @@ import numpy as np
 
 from analysis.evaluation.payload.logs import MOST_KG, LogRow
 from analysis.evaluation.payload.masses import METHODS, SETS, MassOrder, MassRow
+from analysis.evaluation.payload.stranger_conventions import OUTCOMES, ConventionRow
+from analysis.evaluation.payload.strangers import Rival, StrangerRow
 from analysis.evaluation.text import seeds_in_words, table_line
 
 _WIDTHS = (30, 4, 32, 32, 0)
 _LOG_WIDTHS = (38, 6, 10, 10, 10, 10, 8, 8, 0)
+_STRANGER_WIDTHS = (26, 6, 6, 14, 8, 7, 9, 15, 17, 8, 8, 8, 8, 0)
+_CONVENTION_WIDTHS = (20, 16, 16, 18, 18, 0)
 """Of the columns [characters]."""
 
 
@@ -54,6 +58,63 @@ def log_table(rows: Sequence[LogRow]) -> str:
         held = "-" if row.held is None else f"{100 * row.held:.3g} %"
         lines.append(table_line([*cells, held, _short(row.width), _centre(row)], _LOG_WIDTHS))
     return "\n".join(lines)
+
+
+def stranger_table(rows: Sequence[StrangerRow]) -> str:
+    """Errors in logs of arms that share no code with the fit, beside what one would write."""
+    head = ("arms", "tare", "logs", "MAE, g", "median", "worst", "bound's", "least squares")
+    head += ("tare subtracted", "held", "width", "ok", "ok, far", "ok, wrong sign or gravity")
+    lines = [
+        "Payloads of 0 to 2.5 kg on strangers' arms, through the whole of tunenet-tune, in g.",
+        "MAE: with its standard error. bound's: of noise alone (Cramér and Rao). ahead, level,",
+        "behind: ours, by a standard error of the paired difference. held: 95 % intervals, shown",
+        "or not. ok, far: off by over three half widths of it; at most 1 log in 400 may be.",
+        "",
+        table_line(head, _STRANGER_WIDTHS),
+    ]
+    for row in rows:
+        size = {0.5: ", half as large", 2.0: ", twice as large"}.get(row.case.size, "")
+        mae = "-" if row.mae_g is None else f"{row.mae_g:.1f} ± {row.mae_sd_g:.1f}"
+        figures = [_tenths(one) for one in (row.median_g, row.worst_g, row.bound_g)]
+        rivals = [_rival(one) for one in (row.least_squares, row.tare_subtracted)]
+        cells = [row.case.label + size, "yes" if row.has_tare else "no", str(row.logs), mae]
+        cells += [*figures, *rivals, _percent(row.held), _tenths(row.width_g)]
+        cells += [_percent(row.ok), _percent(row.far_ok), str(row.wrong_ok)]
+        lines.append(table_line(cells, _STRANGER_WIDTHS))
+    return "\n".join(lines)
+
+
+def convention_table(rows: Sequence[ConventionRow]) -> str:
+    """What drivers' torques were taken for: a column for each kind of driver."""
+    head = ["sign and gravity"]
+    for row in rows:
+        means = row.convention
+        sign = "" if means is None else f"{'joint' if means.sign > 0 else 'load'}'s"
+        weight = "" if means is None else f", {'with' if means.has_gravity else 'without'}"
+        head.append(sign + weight or "all drivers")
+    lines = [
+        "What drivers mean by torque, the joint's or the load's, with the arm's weight or",
+        "without, as told from strangers' logs without a tare, light and full ones in turn.",
+        "",
+        table_line(head, _CONVENTION_WIDTHS),
+        table_line(["logs", *(str(row.logs) for row in rows)], _CONVENTION_WIDTHS),
+    ]
+    for what in OUTCOMES:
+        counts = [str(row.outcomes[what]) for row in rows]
+        lines.append(table_line([what, *counts], _CONVENTION_WIDTHS))
+    return "\n".join(lines)
+
+
+def _tenths(value: float | None) -> str:
+    return "-" if value is None else f"{value:.1f}"
+
+
+def _percent(value: float | None) -> str:
+    return "-" if value is None else f"{100 * value:.3g} %"
+
+
+def _rival(rival: Rival | None) -> str:
+    return "-" if rival is None else f"{rival.mae_g:.1f} {rival.standing}"
 
 
 def _short(value: float | None) -> str:

@@ -106,7 +106,7 @@ def payload_review_data(tuning: Tuning) -> PayloadReviewData:
         # As the observed torques are drawn: with the arm's weight in them.
         effort_nm = (fit.predicted_nm + found.effort_nm - fit.effort_nm)[kept]
         label = "fit, friction and offsets too"
-        fitted = TorqueCurve("fit", label, FITTED, _BOLD, fit.mass_kg, effort_nm)
+        fitted = TorqueCurve("fit", label, FITTED, _BOLD, fit.held.mass_kg, effort_nm)
     steps = tuning.trace.steps if tuning.trace else ()
     simulated: list[TorqueCurve] = []
     for k, step in enumerate(steps):

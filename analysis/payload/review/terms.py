@@ -114,8 +114,8 @@ def _words(fit: PayloadFit) -> str:
     ]
     lines.append(f"Torques behind positions: {', '.join(lags)}.")
     lines.append(
-        f"Standard deviation of the mass: {fit.sd_kg:.4f} kg; the least that such torques allow: "
-        f"{fit.bound_kg:.4f} kg."
+        f"Standard deviation of the mass: {fit.held.sd_kg:.4f} kg; the least that such torques "
+        f"allow: {fit.bound_kg:.4f} kg."
     )
     return "\n\n".join(lines)
 

@@ -23,7 +23,7 @@ from tunenet_logs.terminal import listed, short_name
 PAYLOAD_RADIUS_M = 0.04
 """Of the solid ball that stands for a payload: torques do not identify its own inertia."""
 
-JACO_URDF = Path(__file__).with_name("jaco7_robotiq85.urdf")
+JACO_URDF = Path(__file__).with_name("known") / "jaco7-robotiq85.urdf"
 JACO_TOOL_LINK = "tool_mount"
 
 _MOST_JOINTS, _MOST_PAYLOAD_KG, _MOST_OFFSET_M = 32, 1000.0, 10.0
@@ -89,12 +89,14 @@ class Arm:
         joints: from the base to the tool.
         tool_from_last_m: the tool frame, where a payload sits, in the last joint's frame.
         tool_from_last_rpy: likewise, roll, pitch and yaw.
+        remarks: what was doubtful in its description, and how it was taken.
     """
 
     name: str
     joints: tuple[Joint, ...]
     tool_from_last_m: tuple[float, float, float]
     tool_from_last_rpy: tuple[float, float, float]
+    remarks: tuple[str, ...] = ()
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -154,7 +156,8 @@ def read_arm(path: Path, tool_link: str) -> Arm:
         tool_link: the link in whose frame the payload is.
 
     Raises:
-        UsageError: the file, a value in it or the chain makes no sense; names the remedy.
+        UsageError: the file, a value in it or the chain makes no sense; names the remedy. What a
+            link weighs that no joint of the chain moves may be anything.
     """
     robot = read_urdf(path)
     chain = _chain(path, robot, tool_link)
@@ -165,7 +168,7 @@ def read_arm(path: Path, tool_link: str) -> Arm:
         before = before @ joint.origin
         if joint.kind == "fixed":
             continue
-        link = combined(carried[joint.child])
+        link = combined(carried[joint.child].values())
         if link.mass_kg <= 0:
             raise UsageError(
                 f"{path}: joint {short_name(joint.name)} carries no mass; give link "
@@ -186,7 +189,12 @@ def read_arm(path: Path, tool_link: str) -> Arm:
             )
         )
         before = IDENTITY
-    return Arm(robot.name, tuple(joints), *_as_tuples(before))
+    mended = (
+        words
+        for link, words in robot.mended.items()
+        if any(link in one for one in carried.values())
+    )
+    return Arm(robot.name, tuple(joints), *_as_tuples(before), tuple(mended))
 
 
 def jaco() -> Arm:
@@ -217,6 +225,13 @@ def _chain(path: Path, robot: FileRobot, tool_link: str) -> list[FileJoint]:
             raise UsageError(f"{path}: link {short_name(link)} hangs on itself in a loop")
         seen.add(link)
     movers = [joint for joint in reversed(chain) if joint.kind != "fixed"]
+    others = [name for name in robot.links if name not in robot.joints and name != link]
+    if not movers and others:
+        raise UsageError(
+            f"{path}: no joint carries link {short_name(link)}, so {short_name(tool_link)} is on "
+            "no arm; add a fixed joint from the arm's last link to it, or name that link with "
+            "--tool-link"
+        )
     if not 1 <= len(movers) <= _MOST_JOINTS:
         raise UsageError(
             f"{path}: {len(movers)} joints move link {short_name(tool_link)}, an arm has 1 to "
@@ -237,9 +252,13 @@ def _chain(path: Path, robot: FileRobot, tool_link: str) -> list[FileJoint]:
     return chain[::-1]
 
 
-def _carried(path: Path, robot: FileRobot, movers: set[str]) -> dict[str, list[Inertial]]:
-    """What each of the chain's moving links carries, in its frame; "" for the base."""
-    carried: dict[str, list[Inertial]] = {child: [] for child in movers} | {"": []}
+def _carried(path: Path, robot: FileRobot, movers: set[str]) -> dict[str, dict[str, Inertial]]:
+    """The links that each of the chain's moving links carries, in its frame.
+
+    Raises:
+        UsageError: it is no body's, or hangs on itself.
+    """
+    carried: dict[str, dict[str, Inertial]] = {child: {} for child in movers}
     placed: dict[str, tuple[str, Transform]] = {}
     for link, own in robot.links.items():
         trail: list[str] = []
@@ -253,7 +272,10 @@ def _carried(path: Path, robot: FileRobot, movers: set[str]) -> dict[str, list[I
         for child in reversed(trail):
             frame = frame @ robot.joints[child].origin
             placed[child] = holder, frame
-        carried[holder].append(own.seen_from(frame))
+        if holder and link in robot.faults:
+            raise robot.faults[link]
+        if holder:
+            carried[holder][link] = own.seen_from(frame)
     return carried
 
 

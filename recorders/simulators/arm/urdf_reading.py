@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from recorders.simulators.arm.rigid_bodies import NOTHING, Inertial, Transform
+from recorders.simulators.arm.rigid_bodies import NOTHING, Inertial, Transform, inertial
 from tunenet_logs.errors import UsageError
 from tunenet_logs.small_files import read_small_file
 from tunenet_logs.terminal import short_name
@@ -23,6 +23,10 @@ _MOST_M, _MOST_RAD, _MOST_KG, _MOST_KG_M2 = 100.0, 1000.0, 10_000.0, 1e6
 
 _MOST_LIMIT = 1e9
 """Of a joint's position [rad or m]: files write large numbers for "none"."""
+
+_LEAST_SHARE = 1e-3
+"""Of a link's largest moment of inertia, that stands for one below 0: engines take 0 for none."""
+
 _TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
@@ -52,11 +56,21 @@ class FileJoint:
 
 @dataclass(frozen=True)
 class FileRobot:
-    """A robot as the file has it: what its links weigh, and its joints by the child's name."""
+    """A robot as the file has it.
+
+    Attributes:
+        links: what each weighs; nothing where that is one of `faults`.
+        joints: by the child's name.
+        faults: links whose `<inertial>` makes no sense: of a base, which never moves, it does not
+            count.
+        mended: links with a moment of inertia below 0, and what was done, in words.
+    """
 
     name: str
     links: Mapping[str, Inertial]
     joints: Mapping[str, FileJoint]
+    faults: Mapping[str, UsageError]
+    mended: Mapping[str, str]
 
 
 def read_urdf(path: Path) -> FileRobot:
@@ -64,14 +78,21 @@ def read_urdf(path: Path) -> FileRobot:
 
     Raises:
         UsageError: not a URDF, or something in it that no robot has; with file, element and value.
+            Where it is only what a link weighs, that is in `faults` instead.
     """
     root = _root(path)
     links: dict[str, Inertial] = {}
+    faults: dict[str, UsageError] = {}
+    mended: dict[str, str] = {}
     for element in root.findall("link"):
         place = _Place(path, element)
         if place.name in links:
             raise place.wrong("is there twice; rename one")
-        links[place.name] = _inertial(place)
+        try:
+            links[place.name], words = _inertial(place)
+            mended |= {place.name: words} if words else {}
+        except UsageError as error:
+            links[place.name], faults[place.name] = NOTHING, error
     joints: dict[str, FileJoint] = {}
     names: set[str] = set()
     for element in root.findall("joint"):
@@ -87,7 +108,7 @@ def read_urdf(path: Path) -> FileRobot:
             )
         names.add(joint.name)
         joints[joint.child] = joint
-    return FileRobot(root.get("name", "") or path.stem, links, joints)
+    return FileRobot(root.get("name", "") or path.stem, links, joints, faults, mended)
 
 
 def _root(path: Path) -> ET.Element:
@@ -166,21 +187,27 @@ class _Place:
         return (x, y, z), (roll, pitch, yaw)
 
 
-def _inertial(place: _Place) -> Inertial:
+def _inertial(place: _Place) -> tuple[Inertial, str]:
+    """What a link weighs; and words on a moment below 0, which an identification may give."""
     if place.element.find("inertial") is None:
-        return NOTHING
+        return NOTHING, ""
     (mass_kg,) = place.numbers("inertial/mass", "value", 1, _MOST_KG)
     if mass_kg < 0:
         raise place.wrong(f"weighs {mass_kg:g} kg; give its mass, or 0")
     moments = [place.numbers("inertial/inertia", key, 1, _MOST_KG_M2, "0")[0] for key in _MOMENTS]
     own = Inertial(mass_kg, (0.0, 0.0, 0.0), tuple(moments))  # pyright: ignore[reportArgumentType]
-    least = float(np.linalg.eigvalsh(own.tensor())[0])
-    if least < -1e-9 * max(map(abs, moments)):
-        raise place.wrong(
-            f"has a principal moment of inertia of {least:.3g} kg m²; none is below 0, "
-            "correct its <inertia>"
-        )
-    return own.seen_from(Transform.at(*place.frame("inertial/origin")))
+    frame = Transform.at(*place.frame("inertial/origin"))
+    principal, axes = np.linalg.eigh(own.tensor())
+    least = float(principal[0])
+    if least >= -1e-9 * max(map(abs, moments)):
+        return own.seen_from(frame), ""
+    raised = np.maximum(principal, _LEAST_SHARE * np.abs(principal).max())
+    nearest = inertial(mass_kg, np.zeros(3), axes @ np.diag(raised) @ axes.T)
+    fault = place.wrong(
+        f"has a principal moment of inertia of {least:.3g} kg m²; none is below 0: "
+        f"{raised[0]:.3g} is taken, correct its <inertia>"
+    )
+    return nearest.seen_from(frame), str(fault)
 
 
 def _joint(place: _Place, links: Mapping[str, Inertial]) -> FileJoint:

@@ -10,10 +10,12 @@ from analysis.payload.arm_motion import arm_motion
 from analysis.payload.driver_quirks import even_clock
 from recorders.simulators.arm.description import Payload
 from recorders.simulators.arm.disturbances import FieldClock
-from recorders.simulators.arm.path import circle_at
+from recorders.simulators.arm.driver import driver_episode
+from recorders.simulators.arm.path import circle, circle_at
 from tests.analysis.payload.arm_logs import (
     ARM,
     CLEAN,
+    FULL_HZ,
     changed,
     circle_log,
     driver,
@@ -207,6 +209,15 @@ def test_derivatives_are_those_of_the_path(rate_hz, noise_rad, most):
     path = circle_at(motion.seconds + _first_s(noisy))
     _, _, acceleration = motion.at(motion.seconds)
     assert np.abs(acceleration - path.acceleration_rad_s2).max() < most
+
+
+def test_a_log_of_a_minute_is_as_smooth_as_a_short_one():
+    noisy = replace(CLEAN, position_noise_rad=2e-4)
+    episode = driver_episode(ARM, circle(FULL_HZ, 60.0), Payload(0.5), noisy)
+    motion = arm_motion(read_arm_log(episode, ARM))
+    path = circle_at(motion.seconds + _first_s(noisy))
+    _, _, acceleration = motion.at(motion.seconds)
+    assert np.abs(acceleration - path.acceleration_rad_s2).max() < 0.03
 
 
 def _first_s(disturbances) -> float:

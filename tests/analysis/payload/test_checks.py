@@ -22,9 +22,9 @@ def failed(episode, tare=None, **part) -> dict[str, bool]:
     """Names of the checks that fail, and whether that is fatal."""
     log = read_arm_log(episode, ARM, **part)
     motion = arm_motion(log)
-    empty = arm_motion(read_arm_log(tare, ARM)) if tare else None
+    empty = [arm_motion(read_arm_log(tare, ARM))] if tare else []
     checks = arm_checks(log, motion, ARM)
-    checks += payload_checks(fit_payload(ARM, motion, empty), ARM, log)
+    checks += payload_checks(fit_payload(ARM, motion, empty), ARM, log, is_stated=False)
     return {one.name: one.fatal for one in checks if not one.passed}
 
 
@@ -84,9 +84,9 @@ def test_a_short_part():
     assert "long enough" in failed(circle_log(Payload(0.5), driver(6)), start_s=1.0, end_s=3.5)
 
 
-def test_a_payload_off_centre_is_not_claimed_to_be_in_the_tool_frame():
+def test_a_payload_off_centre_is_no_fault():
     off = circle_log(Payload(1.5, (0.0, 0.06, 0.06)), replace(driver(8), torque_noise_nm=0.05))
-    assert "payload in the tool frame" in failed(off)
+    assert failed(off) == {}
 
 
 def test_a_log_of_a_real_jaco_without_torques():
@@ -119,14 +119,14 @@ def test_the_slower_of_positions_and_torques_counts(slow):
     assert "60 Hz" in rate.detail
 
 
-@pytest.mark.parametrize("sds", [-6.0, 6.0])
+@pytest.mark.parametrize("sds", [-9.0, 9.0])
 def test_a_sensor_that_is_far_off_is_named_whichever_way(sds):
     log = read_arm_log(circle_log(Payload(0.5)), ARM)
-    fit = fit_payload(ARM, arm_motion(log), None)
+    fit = fit_payload(ARM, arm_motion(log))
     terms = list(fit.nuisances)
     at = next(index for index, one in enumerate(terms) if one.group == "offset")
     terms[at] = replace(terms[at], value=sds * terms[at].prior_sd)
-    checks = payload_checks(replace(fit, nuisances=tuple(terms)), ARM, log)
+    checks = payload_checks(replace(fit, nuisances=tuple(terms)), ARM, log, is_stated=False)
     check = next(one for one in checks if one.name == "friction and sensors are usual")
     assert not check.passed
     assert terms[at].name in check.detail

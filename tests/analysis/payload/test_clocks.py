@@ -54,9 +54,9 @@ def test_a_stamp_days_off_costs_nothing(episode: Episode, at: int, days: int):
 
 def test_a_tare_with_a_stamp_days_off_serves(episode: Episode):
     tare = with_stamps(circle_log(None), stamp_off(100, DAY_NS))
-    tuning = tune_episode(episode, Options(selection=Selection(tare=tare)))
+    tuning = tune_episode(episode, Options(selection=Selection(tares=(tare,))))
     assert tuning.verdict == "ok", tuning.reason
-    assert len(tuning.detection.tare.motion.spline.t) < 200
+    assert len(tuning.detection.tares[0].motion.spline.t) < 200
     assert any(words.startswith("tare: ") and "jumps" in words for words in tuning.warnings)
 
 

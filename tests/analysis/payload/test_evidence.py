@@ -3,9 +3,13 @@
 import numpy as np
 import pytest
 
-from analysis.payload.evidence import Level, NormalEquations, posterior, weighted_models
-
-OFF_OR_ON = (Level(0.0, 0.5), Level(1.0, 0.5))
+from analysis.payload.evidence import (
+    NormalEquations,
+    averaged,
+    likeliest_scales,
+    posterior,
+    scaled,
+)
 
 
 def samples(rng, nuisances, noise):
@@ -20,33 +24,34 @@ def test_a_single_model_is_least_squares_with_a_prior():
     rng = np.random.default_rng(1)
     normal = samples(rng, 0.3 * rng.normal(0, 1, 20), 0.1)
     sds = np.full(21, 0.5)
-    means, covariance = posterior(normal, sds)
+    found = posterior(normal, sds)
     expected = np.linalg.inv(normal.precision + np.diag(sds**-2))
-    np.testing.assert_allclose(covariance, expected, rtol=1e-8)
-    np.testing.assert_allclose(means, expected @ normal.gradient, rtol=1e-8)
+    np.testing.assert_allclose(found.covariance, expected, rtol=1e-8)
+    np.testing.assert_allclose(found.means, expected @ normal.gradient, rtol=1e-8)
 
 
-@pytest.mark.parametrize("scale", [0.0, 1.0])
-def test_the_likeliest_model_is_the_true_one(scale):
+@pytest.mark.parametrize("scale", [0.0, 1.0, 3.0])
+def test_the_likeliest_scale_is_the_true_one(scale):
     rng = np.random.default_rng(2)
     normal = samples(rng, scale * 0.5 * rng.normal(0, 1, 20), 0.1)
     groups = {"other": np.arange(1, 21)}
-    models = weighted_models(
-        normal, np.full(21, 0.5) + 5 * (np.arange(21) == 0), groups, {"other": OFF_OR_ON},
-        np.array([0]),
-    )  # fmt: skip
-    assert models[0].levels == {"other": scale}
-    assert models[0].weight > 0.99
-    sd = float(np.sqrt(models[0].covariance[0, 0]))
-    assert abs(models[0].means[0] - 2) < 3 * sd
-    assert (sd < 0.02) == (scale == 0)
+    sds = np.full(21, 0.5) + 5 * (np.arange(21) == 0)
+    logs = likeliest_scales(normal, sds, groups, {}, 20)
+    assert np.exp(logs["other"]) == pytest.approx(scale, rel=0.4, abs=0.05)
+    found = posterior(normal, scaled(sds, groups, logs))
+    means, covariance = averaged(found, groups, logs, np.array([0]))
+    sd = float(np.sqrt(covariance[0, 0]))
+    assert abs(means[0] - 2) < 3 * sd
+    assert (sd < 0.04) == (scale == 0)
 
 
-def test_weights_add_up():
-    rng = np.random.default_rng(3)
-    normal = samples(rng, 0.02 * rng.normal(0, 1, 20), 0.3)
-    groups = {"left": np.arange(1, 11), "right": np.arange(11, 21)}
-    models = weighted_models(
-        normal, np.ones(21), groups, {"left": OFF_OR_ON, "right": OFF_OR_ON}, np.array([0])
-    )
-    assert sum(one.weight for one in models) == pytest.approx(1)
+def test_what_samples_cannot_tell_of_a_scale_widens_the_answer():
+    """A slope that is the other's double: only their scales' priors tell them apart."""
+    slopes = np.outer(np.ones(30), [1.0, 2.0])
+    normal = NormalEquations(slopes.T @ slopes, slopes.T @ np.ones(30))
+    groups = {"left": np.array([1])}
+    sds = np.array([1.0, 0.5])
+    logs = likeliest_scales(normal, sds, groups, {}, 20)
+    found = posterior(normal, scaled(sds, groups, logs))
+    _, covariance = averaged(found, groups, logs, np.array([0]))
+    assert covariance[0, 0] > 1.2 * found.covariance[0, 0]

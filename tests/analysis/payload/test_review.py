@@ -129,7 +129,7 @@ def test_iterations_can_be_scrubbed_over_fixed_torques(review: Path):
 def test_every_kind_of_term_has_a_chart(tmp_path: Path):
     held = simulate_payload(PayloadOrder(mass_kg=0.7, is_driver=True))
     empty = record(tmp_path / "empty.mcap", is_empty=True, is_driver=True)
-    tuning = tune_episode(held, Options(selection=Selection(tare=empty)))
+    tuning = tune_episode(held, Options(selection=Selection(tares=(empty,))))
     entities = contents(drawn(tuning, tmp_path))
     charts = [
         one for one in entities if one.startswith("/sheets/terms_") and one.endswith("/values")
@@ -169,7 +169,7 @@ def test_a_fast_log_is_thinned(tmp_path: Path):
     episode = simulate_payload(PayloadOrder(mass_kg=0.7, rate_hz=1000.0, torque_noise_nm=0.2))
     path = drawn(tune_episode(episode, Options()), tmp_path)
     times, _ = series(path, "/torque/joint_2/observed", "Scalars:scalars")
-    assert 400 < len(times) < 620
+    assert 400 < len(times) <= 700
     assert path.stat().st_size < 3e6
 
 

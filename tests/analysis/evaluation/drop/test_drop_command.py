@@ -13,9 +13,9 @@ from pathlib import Path
 import cv2
 import pytest
 
+from analysis.evaluation.choices import METHODS
 from analysis.evaluation.cli import build_parser, main
 from analysis.evaluation.drop.method_registry import NAMES
-from analysis.evaluation.printing import METHODS
 from tests.analysis.drop.test_review import verified
 from tests.conftest import ROOT, Command
 from tests.engines import needs_pybullet

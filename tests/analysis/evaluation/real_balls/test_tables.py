@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from analysis.evaluation.choices import REAL_SECTIONS
 from analysis.evaluation.cli import main
-from analysis.evaluation.printing import REAL_SECTIONS
 from analysis.evaluation.real_balls.figures import (
     NONE,
     compared_lines,

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from analysis.evaluation.choices import SECTIONS
 from analysis.evaluation.cli import main
-from analysis.evaluation.printing import SECTIONS
 from analysis.evaluation.video.fault_tracks import TRACK_FAULTS
 from analysis.evaluation.video.records import COLUMNS, video_csv, video_json
 from analysis.evaluation.video.run import VideoOrder, VideoRow, figures_of, track_sections

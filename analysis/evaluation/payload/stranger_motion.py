@@ -1,0 +1,66 @@
+"""How a stranger's arm moves: each joint along a sum of sines, from rest to rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tunenet_logs.arrays import Array
+
+_TERMS = 3
+"""Sines of a joint."""
+
+_LEAST_S, _MOST_S = 6.0, 10.0
+"""Of a motion."""
+
+_LOWEST_RAD, _MOST_SPAN_RAD = -2.8, 5.6
+"""Of a joint, within its own limits."""
+
+_MOST_RAD_S = 1.5
+"""Of a joint, within its own limit."""
+
+
+@dataclass(frozen=True, eq=False)
+class StrangerMotion:
+    """Positions over time.
+
+    Attributes:
+        middle: of each joint [rad], shape (J,).
+        amplitudes: of each sine [rad], shape (K, J).
+        rates: of each sine [rad/s], shape (K, J).
+        phases: of each sine at 0 s [rad], shape (K, J).
+        length_s: from rest to rest.
+    """
+
+    middle: Array
+    amplitudes: Array
+    rates: Array
+    phases: Array
+    length_s: float
+
+    @classmethod
+    def drawn(cls, model: Any, rng: np.random.Generator) -> StrangerMotion:
+        """A motion of 6 to 10 s within the limits of position and speed of Pinocchio's model."""
+        shape = (_TERMS, model.nq)
+        low = np.maximum(model.lowerPositionLimit, _LOWEST_RAD)
+        high = np.minimum(model.upperPositionLimit, low + _MOST_SPAN_RAD)
+        length_s = float(rng.uniform(_LEAST_S, _MOST_S))
+        rank = np.arange(1, _TERMS + 1)[:, None]
+        rates = 2 * np.pi * rank / length_s
+        rates = rates * rng.uniform(0.8, 1.2, shape)
+        amplitudes = rng.normal(0.0, 0.5, shape) / rank
+        fastest = np.minimum(model.velocityLimit, _MOST_RAD_S)
+        amplitudes *= np.minimum(1.0, 0.8 * fastest / np.sum(np.abs(amplitudes) * rates, axis=0))
+        reach = np.minimum(np.sum(np.abs(amplitudes), axis=0), (high - low) / 2.2)
+        amplitudes *= reach / np.maximum(np.sum(np.abs(amplitudes), axis=0), 1e-9)
+        middle = rng.uniform(low + reach, high - reach)
+        return cls(middle, amplitudes, rates, rng.uniform(0, 6.28, shape), length_s)
+
+    def at(self, seconds: Array) -> Array:
+        """Positions [rad] at times of shape (T,), shape (T, J); eased in and out over a second."""
+        ends = np.minimum(seconds, self.length_s - seconds).clip(0.0, 1.0)
+        ease = ends**3 * (10 - 15 * ends + 6 * ends**2)
+        waves = self.rates * seconds[:, None, None] + self.phases
+        return self.middle + ease[:, None] * np.sum(self.amplitudes * np.sin(waves), axis=1)

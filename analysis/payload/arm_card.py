@@ -1,0 +1,228 @@
+"""An arm's card: what its runs said of its own terms, for logs of the same arm to come.
+
+Friction, offsets, links, tilt, encoders' zeros, rotors and hoses are an arm's, whatever it holds
+and however it moves. All that runs say of them is linear and normal about what was found, so that a
+card has it whole, in a matrix and a vector (`PayloadFit.learnt`).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from analysis.payload.driver_quirks import check_joints
+from analysis.payload.evidence import NormalEquations
+from analysis.payload.torque_terms import arm_terms
+from recorders.simulators.arm.description import Arm
+from tunenet_logs.arrays import Array
+from tunenet_logs.errors import LogError, NotFoundError, UsageError
+from tunenet_logs.small_files import parse_json, read_small_file
+from tunenet_logs.terminal import one_line, short_name
+
+_KIND, _VERSION = "tunenet-logs arm card", 1
+
+_MOST_BYTES = 16_000_000
+"""Of a file: that of an arm with as many joints as any may have, and half as much again."""
+
+_MOST_RUNS, _MOST_TERMS, _MOST_CHARACTERS = 1000, 1200, 500
+"""In a card, and in a name in it. An arm of 32 joints has 1026 terms."""
+
+_MOST = 1e15
+"""Of a number: what the best sensor says of the largest arm in a day is less."""
+
+_ROUNDING = 1e-6
+"""How far below 0 an eigenvalue may be, by the largest, where variances are 1."""
+
+_REMEDY = "give the file that tunenet-tune --save-arm-card wrote, or write it anew"
+
+
+@dataclass(frozen=True, eq=False)
+class ArmCard:
+    """What runs of one arm said of it.
+
+    Attributes:
+        arm_sha256: of the arm's description, a URDF (`Arm.urdf`).
+        joints: names in its logs, from base to tool.
+        runs: "log" (a name) and "sha256" of each run that it is from.
+        terms: names of the arm's own terms, of which there are K.
+        learnt: of these terms, shapes (K, K) and (K,).
+        file: its name; "" for one that was not read of a file.
+    """
+
+    arm_sha256: str
+    joints: tuple[str, ...]
+    runs: tuple[Mapping[str, str], ...]
+    terms: tuple[str, ...]
+    learnt: NormalEquations
+    file: str = ""
+
+    @property
+    def sha256s(self) -> frozenset[str]:
+        """Of its runs."""
+        return frozenset(run["sha256"] for run in self.runs)
+
+    def check_arm(self, arm: Arm, joints: tuple[str, ...]) -> None:
+        """Refuse an arm that is another one.
+
+        Args:
+            arm: of a log, as it is described.
+            joints: their names in that log.
+
+        Raises:
+            NotFoundError: the description or the joints' names are others.
+        """
+        place = f"--arm-card {self.file}"
+        if len(joints) != len(self.joints):
+            raise NotFoundError(
+                f"{place}: is of an arm with {len(self.joints)} joints, not {len(joints)}; give "
+                "the card of this arm"
+            )
+        try:
+            check_joints(self.joints, joints)
+        except NotFoundError as error:
+            raise NotFoundError(f"{place}: {error}, or give that arm's card") from error
+        if arm_sha256(arm) != self.arm_sha256 or arm_terms(arm) != self.terms:
+            raise NotFoundError(
+                f"{place}: is of another arm, or of another description of it; give the card of "
+                "this arm, or the --arm or --urdf that the card was made with"
+            )
+
+    def check_new(self, path: Path, sha256: str) -> None:
+        """Refuse a run that the card is from already: it would count twice.
+
+        Raises:
+            UsageError: it is one of them.
+        """
+        for run in self.runs:
+            if sha256 and run["sha256"] == sha256:
+                raise UsageError(
+                    f"{path}: is in the card {self.file} already, as {run['log']}, and would count "
+                    "twice; leave it out, or leave --arm-card out"
+                )
+
+
+def arm_sha256(arm: Arm) -> str:
+    """Of its description; the tool frame is no part of it."""
+    return hashlib.sha256(arm.urdf().encode()).hexdigest()
+
+
+def card_text(card: ArmCard) -> str:
+    """The JSON of a card."""
+    rows, columns = np.tril_indices(len(card.terms))
+    fields = {
+        "kind": _KIND,
+        "version": _VERSION,
+        "arm_sha256": card.arm_sha256,
+        "joints": card.joints,
+        "runs": [dict(run) for run in card.runs],
+        "terms": card.terms,
+        "precision": card.learnt.precision[rows, columns].tolist(),
+        "gradient": card.learnt.gradient.tolist(),
+    }
+    lines = (f" {json.dumps(name)}: {json.dumps(value)}" for name, value in fields.items())
+    return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
+def read_arm_card(path: Path) -> ArmCard:
+    """The card in a file.
+
+    Raises:
+        UsageError: it cannot be read, is something else, or has values that no card has.
+    """
+    try:
+        fields = parse_json(read_small_file(path, _MOST_BYTES))
+        return _card(fields, path.name)
+    except LogError as error:
+        raise UsageError(f"{error}; {_REMEDY}") from error
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read ({error.strerror}); {_REMEDY}") from error
+    except (ValueError, TypeError, LookupError) as error:
+        why = one_line(short_name(error, 200))
+        raise UsageError(f"{path}: is no card of an arm ({why}); {_REMEDY}") from error
+
+
+def _card(fields: Any, file: str) -> ArmCard:
+    """Of a JSON's object.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if not isinstance(fields, dict) or fields.get("kind") != _KIND:
+        raise ValueError("another JSON")
+    if fields.get("version") != _VERSION:
+        raise ValueError(f"version {short_name(fields.get('version'))}, not {_VERSION}")
+    terms, joints = _texts(fields, "terms"), _texts(fields, "joints")
+    if not joints or len(terms) > _MOST_TERMS:
+        raise ValueError(f"{len(joints)} joints with {len(terms)} terms")
+    count = len(terms)
+    lower = _numbers(fields, "precision", count * (count + 1) // 2)
+    precision = np.zeros((count, count))
+    precision[np.tril_indices(count)] = lower
+    precision += np.tril(precision, -1).T
+    learnt = NormalEquations(_semidefinite(precision), _numbers(fields, "gradient", count))
+    runs = fields.get("runs")
+    if not isinstance(runs, list) or not 1 <= len(runs) <= _MOST_RUNS:
+        raise ValueError(f"runs are no list of 1 to {_MOST_RUNS}")
+    return ArmCard(
+        _text(fields.get("arm_sha256")),
+        joints,
+        tuple(_run(run) for run in runs),
+        terms,
+        learnt,
+        file,
+    )
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str) or len(value) > _MOST_CHARACTERS:
+        raise ValueError(f"{short_name(value)} is no short text")
+    return value
+
+
+def _texts(fields: Mapping[str, Any], name: str) -> tuple[str, ...]:
+    values = fields.get(name)
+    if not isinstance(values, list):
+        raise ValueError(f"{name} are no list")
+    return tuple(map(_text, values))
+
+
+def _run(value: Any) -> dict[str, str]:
+    if not isinstance(value, dict) or value.keys() != {"log", "sha256"}:
+        raise ValueError(f"{short_name(value)} is no run with log and sha256")
+    return {name: _text(value[name]) for name in ("log", "sha256")}
+
+
+def _numbers(fields: Mapping[str, Any], name: str, count: int) -> Array:
+    """Shape (count,)."""
+    values = fields.get(name)
+    if not isinstance(values, list) or len(values) != count:
+        raise ValueError(f"{name} is no list of {count} numbers")
+    for value in values:
+        if type(value) not in (int, float) or not math.fabs(value) <= _MOST:
+            raise ValueError(f"{short_name(value)} in {name} is no number up to {_MOST:g}")
+    return np.array(values, dtype=np.float64)
+
+
+def _semidefinite(precision: Array) -> Array:
+    """A precision without what rounding left below 0, shape (K, K).
+
+    Raises:
+        ValueError: it is below 0 by more.
+    """
+    diagonal = np.diag(precision)
+    shown = diagonal > 0
+    if diagonal.min() < 0 or np.any(precision[~shown]):
+        raise ValueError("precision is no sum of squares")
+    root = np.sqrt(np.where(shown, diagonal, 1.0))
+    values, axes = np.linalg.eigh(precision / root[:, None] / root)
+    if values[0] < -_ROUNDING * values[-1]:
+        raise ValueError("precision is no sum of squares")
+    whole = (axes * np.maximum(values, 0.0)) @ axes.T
+    return np.outer(root * shown, root * shown) * whole
