@@ -48,10 +48,6 @@ class NormalEquations:
     precision: Array
     gradient: Array
 
-    def __add__(self, other: NormalEquations) -> NormalEquations:
-        """Of both together."""
-        return NormalEquations(self.precision + other.precision, self.gradient + other.gradient)
-
     def marginal(self, kept: NDArray[np.int64], sds: Array) -> NormalEquations:
         """What the samples say of some terms, whatever the others are.
 

@@ -105,7 +105,7 @@ def test_a_tare_makes_it_more_exact(logs: tuple[Path, Path], tmp_path: Path):
     tared = tune_log(held, Options(selection=Selection(tares=(empty,))))
     assert alone.interval95 is not None
     assert tared.interval95 is not None
-    assert np.ptp(tared.interval95) < 0.7 * np.ptp(alone.interval95)
+    assert np.ptp(tared.interval95) < 0.5 * np.ptp(alone.interval95)
     assert mass(alone) == pytest.approx(0.6, abs=0.2)
     assert mass(tared) == pytest.approx(0.6, abs=0.03)
 
