@@ -57,6 +57,10 @@ _SURE_SHARE, _SURE_FRACTION, _REJECT_SHARE = 0.03, 0.1, 0.4
 """Half of a 95 % interval that is of use, by what the arm weighs, or by the payload's mass where
 that is more; and of none at all."""
 
+_NO_ARM_LIFTS = 5.0
+"""Times its highest torque at which a joint's torques are not this arm's, or not in N·m. Scales of
+friction grow with such torques until they explain them."""
+
 _BELOW_SDS = 4.0
 """Standard deviations below 0 at which a mass is an error of the model or of the tare."""
 
@@ -274,12 +278,17 @@ def _lift_check(fit: PayloadFit, arm: Arm, log: ArmLog) -> Check:
     worst = int(np.argmax(fractions))
     below = -fit.held.signed_kg / fit.held.sd_kg
     zero = "that the tare's gripper was empty" if fit.tare_residuals else "its zero with a --tare"
+    lost = bool(fractions[worst] > _NO_ARM_LIFTS)
+    detail = (
+        f"{fit.held.signed_kg:.3f} kg (0 or more); {arm.joints[worst].name} at "
+        f"{100 * fractions[worst]:.0f} % of its highest torque"
+    )
     return Check(
         "within what the arm lifts",
         float(fractions[worst]) < 1 and below < _BELOW_SDS,
-        f"{fit.held.signed_kg:.3f} kg (0 or more); {arm.joints[worst].name} at "
-        f"{100 * fractions[worst]:.0f} % of its highest torque",
-        advice=f"check the arm's model (--urdf), and {zero}",
+        f"these torques fit no arm of this size: {detail}" if lost else detail,
+        fatal=lost,
+        advice=_ARM_ADVICE if lost else f"check the arm's model (--arm, --urdf), and {zero}",
     )
 
 

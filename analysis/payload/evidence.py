@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,15 +84,25 @@ class TermPosterior:
 
     Attributes:
         means: shape (N,).
-        covariance: shape (N, N).
+        root: R of the covariance R^T R, shape (N, N).
         sds: of the priors, shape (N,).
         log_evidence: of the samples under these priors, up to what all priors share.
     """
 
     means: Array
-    covariance: Array
+    root: Array
     sds: Array
     log_evidence: float
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Shape (N, N)."""
+        return self.root.T @ self.root
+
+    @cached_property
+    def variances(self) -> Array:
+        """The covariance's diagonal, which a search needs without the rest, shape (N,)."""
+        return np.einsum("ij,ij->j", self.root, self.root)
 
 
 def posterior(normal: NormalEquations, sds: Array) -> TermPosterior:
@@ -99,16 +110,17 @@ def posterior(normal: NormalEquations, sds: Array) -> TermPosterior:
 
     Solved in units of the priors, so that a prior of width 0 is no special case.
     """
-    from scipy.linalg import cho_factor, cho_solve
+    from scipy.linalg import cholesky, get_lapack_funcs
 
     inner = sds[:, None] * normal.precision * sds
     inner[np.diag_indices_from(inner)] += 1.0
-    factor = cho_factor(inner, lower=True, check_finite=False)
-    covariance = sds[:, None] * cho_solve(factor, np.eye(len(sds)), check_finite=False) * sds
-    means = covariance @ normal.gradient
-    log_det = 2 * float(np.sum(np.log(np.diag(factor[0]))))
+    factor = cholesky(inner, lower=True, check_finite=False)
+    (inverse,) = get_lapack_funcs(("trtri",), (factor,))
+    root = inverse(factor, lower=1)[0] * sds
+    means = root.T @ (root @ normal.gradient)
+    log_det = 2 * float(np.sum(np.log(np.diag(factor))))
     evidence = 0.5 * float(means @ normal.gradient) - 0.5 * log_det
-    return TermPosterior(means, covariance, sds, evidence)
+    return TermPosterior(means, root, sds, evidence)
 
 
 def likeliest_scales(
@@ -134,7 +146,7 @@ def likeliest_scales(
     def cost(logs: Array) -> tuple[float, Array]:
         own = scaled(sds, groups, dict(zip(names, logs.tolist(), strict=True)))
         found = posterior(normal, own)
-        squares = (found.means**2 + np.diag(found.covariance)) / np.maximum(own, 1e-150) ** 2 - 1
+        squares = (found.means**2 + found.variances) / np.maximum(own, 1e-150) ** 2 - 1
         slopes = np.array([float(squares[groups[name]].sum()) for name in names])
         priors = [_log_prior(log) for log in logs.tolist()]
         value = found.log_evidence + sum(prior for prior, _ in priors)

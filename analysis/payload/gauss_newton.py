@@ -33,8 +33,9 @@ _START_SHARE, _LEAST_SHARE = 0.02, 2e-5
 _ANY_OFFSET = 2.5
 """Logarithm of a scale with which an offset explains any constant torque."""
 
-_SCALE_STEPS, _ROUGH_STEPS = 6, 3
-"""Of the search for scales, in each iteration: it goes on where the last one ended."""
+_SCALE_STEPS = 12
+"""Of the search for scales, in each iteration: it goes on where the last one ended. With 3 it stood
+still for some, and a wrong convention looked likelier by 130."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,35 +80,37 @@ class GaussNewton:
             for seconds in (*paired, *others)
         )
         sds = terms.sds
-        nothing = TermPosterior(np.zeros(len(sds)), np.diag(sds**2), sds, -np.inf)
+        nothing = TermPosterior(np.zeros(len(sds)), np.diag(sds), sds, -np.inf)
         return cls(runs, terms, convention, known, noises, nothing)
 
     def linearized(self) -> list[Linearization]:
         """Of each run, about the terms that are found."""
         return [run.linearized(self.found.means, self.convention) for run in self.runs]
 
-    def fitted(self, lines: Sequence[Linearization], at: Array, *, roughly: bool) -> GaussNewton:
+    def rows(self, lines: Sequence[Linearization]) -> list[TorqueRows]:
+        """What least squares sees of each run's linear model."""
+        return rows_of(self.runs, lines, self.convention)
+
+    def fitted(self, rows: Sequence[TorqueRows], at: Array, *, roughly: bool) -> GaussNewton:
         """The terms of linear models, the scales of their groups, then the noise that is left.
 
         Args:
-            lines: of each run.
+            rows: of linear models of these runs.
             at: the values of the terms about which they are, shape (N,).
             roughly: whether it is only to be compared with others. Sensors' offsets may then be
                 anything: what a driver means shows in how torques change, not in what they are.
         """
-        rows = rows_of(self.runs, lines, self.convention)
-        normal = self._normal(rows, at)
-        steps = _ROUGH_STEPS if roughly else _SCALE_STEPS
+        normal = self.normal_equations(rows, at)
         searched = self.groups
         if roughly:
             del searched["offset"]
-        logs = likeliest_scales(normal, self._sds, searched, self.logs, steps)
+        logs = likeliest_scales(normal, self._sds, searched, self.logs, _SCALE_STEPS)
         logs["offset"] = _ANY_OFFSET if roughly else logs["offset"]
         sds = scaled(self._sds, self.groups, logs)
         found = posterior(normal, sds)
-        told = 1 - np.diag(found.covariance) / np.maximum(sds, 1e-150) ** 2
+        told = 1 - found.variances / np.maximum(sds, 1e-150) ** 2
         # A mass is 0 or more: its prior is half a normal one.
-        mass_sds = float(found.means[MASS]) / float(np.sqrt(found.covariance[MASS, MASS]))
+        mass_sds = float(found.means[MASS]) / float(np.sqrt(found.variances[MASS]))
         evidence = found.log_evidence + float(log_ndtr(mass_sds))
         for own, series in zip(self.noises, rows, strict=True):
             target = series.after_nm(-at)
@@ -145,11 +148,8 @@ class GaussNewton:
         sds[INERTIA] *= mass_kg
         return sds
 
-    def normal_equations(self, lines: Sequence[Linearization], at: Array) -> NormalEquations:
+    def normal_equations(self, rows: Sequence[TorqueRows], at: Array) -> NormalEquations:
         """Of the terms themselves, linear about `at`."""
-        return self._normal(rows_of(self.runs, lines, self.convention), at)
-
-    def _normal(self, rows: Sequence[TorqueRows], at: Array) -> NormalEquations:
         count = len(self.terms.sds)
         precision, gradient = np.zeros((count, count)), np.zeros(count)
         if self.known is not None:

@@ -9,7 +9,6 @@ the empty gripper (tares) that have all of them but the payload.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +18,7 @@ from analysis.payload.evidence import NormalEquations, averaged, without
 from analysis.payload.fit_result import FitResidual, Nuisance, PayloadFit
 from analysis.payload.gauss_newton import GaussNewton
 from analysis.payload.held import held
-from analysis.payload.same_path import along
+from analysis.payload.same_path import TorqueRows, along, rows_of
 from analysis.payload.torque_model import (
     CONVENTIONS,
     ArmModel,
@@ -42,8 +41,12 @@ _SHARED_SD = 1.2
 """Factor on standard deviations where runs share an arm: what a model of it lacks is in none of
 them alone. By made arms of another generator, whose intervals held 88 to 92 % without it."""
 
-_COMPARISONS, _ITERATIONS = 3, 3
-"""Fits of linear models, enough to choose a convention; then of Gauss-Newton with the best."""
+_COMPARISONS, _MORE_COMPARISONS, _ITERATIONS = 3, 6, 3
+"""Fits of linear models to choose a convention: of all four, then of those that may still win; and
+of Gauss-Newton with the best."""
+
+_MOST_BEHIND = 50.0
+"""Log evidence by which a convention may be behind and still win: noise settles slowly."""
 
 
 def fit_payload(
@@ -85,14 +88,16 @@ def fit_payload(
     )
     best, odds, arm_odds = _likeliest(runs, conventions, known)
     for _ in range(_ITERATIONS - 1):
-        best = best.fitted(best.linearized(), best.found.means, roughly=False)
+        best = best.fitted(best.rows(best.linearized()), best.found.means, roughly=False)
     at, lines = best.found.means, best.linearized()
-    best = best.fitted(lines, at, roughly=False)
+    rows = best.rows(lines)
+    best = best.fitted(rows, at, roughly=False)
+    normal = best.normal_equations(rows, at)
     # A run to come drifts from these, even where one alone does not show what drifted.
     drifting = make_terms(arm, scales_nm, len(motions), drifts=True).sds
     priors = np.where(terms.sds > 0, best.found.sds, drifting)
-    learnt = best.normal_equations(lines, at).marginal(terms.arms, priors)
-    return _result(best, lines, at, (odds, arm_odds), learnt)
+    learnt = normal.marginal(terms.arms, priors)
+    return _result(best, lines, at, normal, (odds, arm_odds), learnt)
 
 
 def _likeliest(
@@ -104,33 +109,40 @@ def _likeliest(
         It, by how much its log evidence leads that of every other convention (less than 0 where one
         that was left out is likelier), and that of torques that no arm is behind.
     """
-    with_gravity = [run.linearized(np.zeros(len(run.terms.sds)), CONVENTIONS[0]) for run in runs]
-    held_nm = [run.model.gravity_nm(run.motion.at(run.motion.seconds)[0]) for run in runs]
-    without = [
-        replace(line, predicted_nm=line.predicted_nm - own_nm)
-        for line, own_nm in zip(with_gravity, held_nm, strict=True)
-    ]
+    nothing = np.zeros(len(runs[0].terms.sds))
+    lines = {
+        convention: [run.linearized(nothing, convention) for run in runs]
+        for convention in CONVENTIONS
+    }
+    rows = {convention: rows_of(runs, lines[convention], convention) for convention in CONVENTIONS}
     fits = {
         convention: _compared(
-            GaussNewton.start(runs, convention, known),
-            with_gravity if convention.has_gravity else without,
+            GaussNewton.start(runs, convention, known), rows[convention], _COMPARISONS
         )
         for convention in CONVENTIONS
     }
+    for _ in range(_MORE_COMPARISONS):
+        leader = max(fit.log_evidence for fit in fits.values())
+        near = [one for one, fit in fits.items() if fit.log_evidence > leader - _MOST_BEHIND]
+        if len(near) == 1:
+            break
+        fits |= {one: _compared(fits[one], rows[one], 1) for one in near}
     best = max(conventions, key=lambda convention: fits[convention].log_evidence)
     evidence = fits[best].log_evidence
     others = [fit.log_evidence for convention, fit in fits.items() if convention != best]
     no_arm = _compared(
         GaussNewton.start(runs, best, known),
-        [_without_arm(line, runs[0].terms) for line in with_gravity],
+        rows_of(runs, [_without_arm(line, runs[0].terms) for line in lines[best]], best),
+        _COMPARISONS,
     )
-    return fits[best].with_usual_offsets(), evidence - max(others), evidence - no_arm.log_evidence
+    odds = evidence - max(others), evidence - no_arm.log_evidence
+    return fits[best].with_usual_offsets(), *odds
 
 
-def _compared(fit: GaussNewton, lines: Sequence[Linearization]) -> GaussNewton:
-    """A rough fit of lines about 0."""
-    for _ in range(_COMPARISONS):
-        fit = fit.fitted(lines, np.zeros(len(fit.terms.sds)), roughly=True)
+def _compared(fit: GaussNewton, rows: Sequence[TorqueRows], count: int) -> GaussNewton:
+    """Some rough fits of linear models about 0, each with the last one's noise."""
+    for _ in range(count):
+        fit = fit.fitted(rows, np.zeros(len(fit.terms.sds)), roughly=True)
     return fit
 
 
@@ -141,9 +153,7 @@ def _without_arm(line: Linearization, terms: Terms) -> Linearization:
     return Linearization(np.zeros_like(line.predicted_nm), line.columns, slopes)
 
 
-def _payload(
-    fit: GaussNewton, lines: Sequence[Linearization], at: Array
-) -> tuple[Array, Array, float]:
+def _payload(fit: GaussNewton, normal: NormalEquations) -> tuple[Array, Array, float]:
     """Means of the payload's terms, shape (10,), their covariance, (10, 10), and a bound [kg].
 
     An average of two models: an arm with all that arms have, and a simulated one, with none of it.
@@ -152,7 +162,6 @@ def _payload(
     means, covariance = averaged(fit.found, fit.groups, fit.logs, own)
     if len(fit.runs) > 1 or fit.known is not None:
         covariance = _SHARED_SD**2 * covariance
-    normal = fit.normal_equations(lines, at)
     ideal, weight = without(normal, fit.found, fit.groups, fit.logs, NOT_SIMULATED)
     off = ideal.means[own] - means
     covariance = (1 - weight) * covariance + weight * ideal.covariance[np.ix_(own, own)]
@@ -166,12 +175,13 @@ def _result(
     fit: GaussNewton,
     lines: Sequence[Linearization],
     at: Array,
+    normal: NormalEquations,
     odds: tuple[float, float],
     learnt: NormalEquations,
 ) -> PayloadFit:
     """Args: odds: of the convention, and of the arm."""
     terms, found = fit.terms, fit.found
-    means, covariance, bound_kg = _payload(fit, lines, at)
+    means, covariance, bound_kg = _payload(fit, normal)
     change = found.means - at
     log = fit.runs[0]
     residual_nm = fit.residual_nm(0, lines, change)

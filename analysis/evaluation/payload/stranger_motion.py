@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,12 @@ _LOWEST_RAD, _MOST_SPAN_RAD = -2.8, 5.6
 
 _MOST_RAD_S = 1.5
 """Of a joint, within its own limit."""
+
+_LOOKS = 1000
+"""Times at which its speed is looked at."""
+
+_EASING_S = 1.0
+"""How long starting and stopping take."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,15 +58,18 @@ class StrangerMotion:
         rates = rates * rng.uniform(0.8, 1.2, shape)
         amplitudes = rng.normal(0.0, 0.5, shape) / rank
         fastest = np.minimum(model.velocityLimit, _MOST_RAD_S)
-        amplitudes *= np.minimum(1.0, 0.8 * fastest / np.sum(np.abs(amplitudes) * rates, axis=0))
         reach = np.minimum(np.sum(np.abs(amplitudes), axis=0), (high - low) / 2.2)
         amplitudes *= reach / np.maximum(np.sum(np.abs(amplitudes), axis=0), 1e-9)
         middle = rng.uniform(low + reach, high - reach)
-        return cls(middle, amplitudes, rates, rng.uniform(0, 6.28, shape), length_s)
+        motion = cls(middle, amplitudes, rates, rng.uniform(0, 6.28, shape), length_s)
+        seconds = np.linspace(0.0, length_s, _LOOKS)
+        steepest = np.abs(np.gradient(motion.at(seconds), seconds, axis=0)).max(axis=0)
+        slower = np.minimum(1.0, fastest / np.maximum(steepest, 1e-9))
+        return replace(motion, amplitudes=amplitudes * slower)
 
     def at(self, seconds: Array) -> Array:
-        """Positions [rad] at times of shape (T,), shape (T, J); eased in and out over a second."""
-        ends = np.minimum(seconds, self.length_s - seconds).clip(0.0, 1.0)
+        """Positions [rad] at times of shape (T,), shape (T, J); eased in and out."""
+        ends = (np.minimum(seconds, self.length_s - seconds) / _EASING_S).clip(0.0, 1.0)
         ease = ends**3 * (10 - 15 * ends + 6 * ends**2)
         waves = self.rates * seconds[:, None, None] + self.phases
         return self.middle + ease[:, None] * np.sum(self.amplitudes * np.sin(waves), axis=1)

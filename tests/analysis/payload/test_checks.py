@@ -104,7 +104,9 @@ def test_a_log_of_a_real_jaco_without_torques():
     ],
 )
 def test_made_up_torques_in_a_bag(name, topic):
-    assert failed(read_episode(real(f"ros1/{name}.bag")), topic=topic)["torques fit the arm"]
+    """They are up to 40 times what the joints can do."""
+    found = failed(read_episode(real(f"ros1/{name}.bag")), topic=topic)
+    assert found["within what the arm lifts"]
 
 
 @pytest.mark.parametrize("slow", ["position", "effort"])
