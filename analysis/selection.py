@@ -51,6 +51,7 @@ class Selection:
         torque_constants: torque at the joint for each A [N·m/A] where efforts are currents: one a
             joint from base to tool, or one for all.
         arm_card: what other runs said of the arm; None for nothing.
+        reading: what is said of files, the log's and the tares', that do not say it themselves.
     """
 
     topic: str | None = None
@@ -66,6 +67,12 @@ class Selection:
     effort_unit: str | None = None
     torque_constants: tuple[float, ...] = ()
     arm_card: ArmCard | None = None
+    reading: ReadOptions = AS_IT_SAYS
+
+    @property
+    def of_currents(self) -> bool:
+        """Whether the torques are made of motors' currents."""
+        return bool(self.torque_constants or self.reading.torque_constants)
 
     @property
     def film_options(self) -> tuple[str, ...]:
@@ -103,7 +110,6 @@ class Options:
     """What a user may choose; see `tunenet-tune --help`.
 
     Attributes:
-        reading: what is said of a file that does not say it itself.
         task: the kind of experiment; None to go by the log.
         iterations: most rollouts of the method, before the last one, which checks its answer.
         initial: one value a parameter; None for the method's own.
@@ -118,7 +124,6 @@ class Options:
     method: str | None = None
     weights: Path | None = None
     selection: Selection = field(default_factory=Selection)
-    reading: ReadOptions = AS_IT_SAYS
 
 
 def check_start(start_s: float | None, length_s: float) -> None:

@@ -48,7 +48,7 @@ def tune_log(path: Path, options: Options) -> Tuning:
     """
     watch = Stopwatch()
     try:
-        episode = plausible(read_episode(path, options.reading))
+        episode = plausible(read_episode(path, options.selection.reading))
     except TuneNetError as error:
         watch.lap("read")
         reason = str(error).removeprefix(f"{path}: ")

@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 
 from analysis.record import Tuning
-from analysis.selection import Options
+from analysis.selection import Options, Selection
 from analysis.tuning import tune_log
 from benchmarks.storing import (
     TICKS_HZ,
@@ -243,7 +243,9 @@ def tuned(way: Way) -> Tuning:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / way.name
         way.store(path)
-        return tune_log(path, Options(reading=ReadOptions(rate_hz=way.rate_hz)))
+        return tune_log(
+            path, Options(selection=Selection(reading=ReadOptions(rate_hz=way.rate_hz)))
+        )
 
 
 def row(name: str, tuning: Tuning, reference: Tuning) -> tuple[str, bool]:

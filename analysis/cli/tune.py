@@ -228,6 +228,7 @@ def _tune(arguments: argparse.Namespace) -> int:
         arguments.effort_unit,
         constants,
         known_card(arguments, tares),
+        reading,
     )
     options = Options(
         task=arguments.task,
@@ -239,7 +240,6 @@ def _tune(arguments: argparse.Namespace) -> int:
         selection=_marked(arguments.logs[0], selection, progress)
         if arguments.preview
         else selection,
-        reading=reading,
     )
     jobs = arguments.jobs or len(os.sched_getaffinity(0))
     results = tune_all(

@@ -33,11 +33,12 @@ FULL_SHOT = 60
 FULL_ENGINES = 10
 """Targets of a range for each seed and pair of engines."""
 
-PAYLOAD_SECTIONS = ("masses", "logs", "strangers")
-"""Table 1 of the paper, logs like a real driver's, and arms that share no code with the fit."""
+PAYLOAD_SECTIONS = ("masses", "logs", "strangers", "conventions")
+"""Table 1 of the paper, logs like a real driver's, arms that share no code with the fit, and what
+their drivers mean by torque."""
 
 USUAL_PAYLOAD_SECTIONS = ("masses", "logs")
-"""Those that are made where none is named: the other takes over an hour."""
+"""Those that are made where none is named: the others take over an hour."""
 
 FULL_PAYLOAD = 300
 """Targets of a set for each seed, and two thirds as many logs of a case in all."""

@@ -31,8 +31,9 @@ Repeat an experiment of the TuneNet paper from nothing, training and test target
 anew for each seed, and print its figures beside the paper's.
 
   payload    the mass in an arm's gripper from its torques: the paper's masses (table 1), and
-             logs like a real driver's, with a bound; its section "strangers", only where it is
-             named: arms that share no code with the fit, beside what one would write in an hour
+             logs like a real driver's, with a bound; only where they are named, its sections
+             "strangers": arms that share no code with the fit, beside what one would write in
+             an hour, and "conventions": what their drivers mean by torque
   drop       restitution of a bouncing ball from its height: every method of the paper,
              what a user would pick instead, and ours, by rollouts spent (table 2, figure)
   motion     where the ball will be: tuned simulators and one-step predictors (table 3)
@@ -111,8 +112,8 @@ def build_parser() -> Parser:
         type=whole(1, 100_000),
         metavar="N",
         help="test targets for each seed and set (default: 100; video, real-balls: 200; payload: "
-        "300, and two thirds as many logs in all, strangers: 400 logs a cell, and 1000 for the "
-        "conventions; bounce-shot: 60 trials a campaign; engines: 10)",
+        "300, and two thirds as many logs in all, strangers: 400 logs a cell, conventions: 1000 "
+        "logs; bounce-shot: 60 trials a campaign; engines: 10)",
     )
     jobs_option(parser, "processes")
     _options_of_some(parser)

@@ -149,6 +149,7 @@ def _payload(
             count = targets or FULL_STRANGERS
             strangers.extend(stranger_rows(seeds, count, order.jobs, progress))
             yield stranger_table(strangers)
+        if "conventions" in wanted:
             count = targets or FULL_CONVENTIONS
             conventions.extend(convention_rows(seeds, count, order.jobs, progress))
             yield convention_table(conventions)

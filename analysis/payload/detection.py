@@ -23,6 +23,7 @@ from analysis.payload.presets import (
 )
 from analysis.payload.torque_fit import fit_payload
 from analysis.payload.torque_model import CONVENTIONS, Convention
+from analysis.payload.torque_terms import GAIN
 from analysis.plausible import plausible
 from analysis.selection import Selection
 from recorders.simulators.arm.description import Arm
@@ -56,21 +57,15 @@ class Tare:
     motion: ArmMotion
 
 
-def read_tares(
-    tares: Sequence[Path | Episode],
-    arm: Arm,
-    log: ArmLog,
-    topic: str | None,
-    torque_constants: Sequence[float] = (),
-) -> tuple[Tare, ...]:
-    """Read empty runs, each another; see `read_tare`.
+def read_tares(arm: Arm, log: ArmLog, selection: Selection) -> tuple[Tare, ...]:
+    """Read a selection's empty runs, each another; see `read_tare`.
 
     Raises:
         NotFoundError: one cannot be used, is no empty run, or is there twice.
     """
     found: list[Tare] = []
-    for tare in tares:
-        one = read_tare(tare, arm, log, topic, torque_constants)
+    for tare in selection.tares:
+        one = read_tare(tare, arm, log, selection)
         if any(_is_same_run(known.log, one.log) for known in found):
             name = f" {tare}" if isinstance(tare, Path) else ""
             raise NotFoundError(f"--tare{name}: is a run that was named before; name each one once")
@@ -85,36 +80,31 @@ def _is_same_run(known: ArmLog, other: ArmLog) -> bool:
     return same > _SAME_FRACTION * len(other.effort.values)
 
 
-def read_tare(
-    tare: Path | Episode,
-    arm: Arm,
-    log: ArmLog,
-    topic: str | None,
-    torque_constants: Sequence[float] = (),
-) -> Tare:
+def read_tare(tare: Path | Episode, arm: Arm, log: ArmLog, selection: Selection) -> Tare:
     """Read an empty run.
 
     Args:
         tare: its log, or what was read of one.
         arm: whose joints are looked for.
         log: of the run with the payload.
-        topic: which to prefer, as in that log; None for the one of its torques.
-        torque_constants: as that log's (`read_arm_log`).
+        selection: how that log was read, and which topic to prefer; None for that of its torques.
 
     Raises:
         NotFoundError: it cannot be used, or is no empty run.
     """
     name = f" {tare}" if isinstance(tare, Path) else ""
     try:
-        recorded = plausible(read_episode(tare)) if isinstance(tare, Path) else tare
+        recorded = (
+            plausible(read_episode(tare, selection.reading)) if isinstance(tare, Path) else tare
+        )
         episode = on_one_clock(recorded)
-        prefer = topic or log.effort.topic
+        prefer = selection.topic or log.effort.topic
         has_joints = any(signal.unit in JOINT_UNITS for signal in episode.signals_of(prefer))
         empty = read_arm_log(
             episode,
             arm,
             topic=prefer if has_joints else None,
-            torque_constants=torque_constants,
+            torque_constants=selection.torque_constants,
         )
         check_joints(empty.joints, log.joints)
         mass_kg = episode.info.truth.get(PAYLOAD_MASS.name, 0.0)
@@ -161,6 +151,7 @@ class PayloadDetection:
         conventions: what the driver may mean by torque, as far as its owner does not say.
         warnings: what a user should know, in words.
         card: what other runs said of the arm; None for nothing.
+        gain: usual error of the torques, as a fraction.
     """
 
     physical: bool
@@ -172,6 +163,7 @@ class PayloadDetection:
     conventions: tuple[Convention, ...]
     warnings: tuple[str, ...]
     card: ArmCard | None = None
+    gain: float = GAIN
 
     @property
     def topic(self) -> str:
@@ -218,7 +210,12 @@ class PayloadDetection:
         known = self.card.learnt if self.card else None
         try:
             return fit_payload(
-                self.arm, self.motion, empty, conventions=self.conventions, known=known
+                self.arm,
+                self.motion,
+                empty,
+                conventions=self.conventions,
+                known=known,
+                gain=self.gain,
             )
         except np.linalg.LinAlgError as error:
             if self.card is None:

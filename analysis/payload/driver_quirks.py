@@ -18,8 +18,8 @@ from tunenet_logs.terminal import listed, short_name
 _NOT_OF_THE_ARM = re.compile(r"finger|gripper|knuckle|thumb|wheel", re.I)
 """Names that end in a number too, but not in that of a joint of the arm."""
 
-_GENERIC = re.compile(r"(joint|axis|j|a)?[_\- .]*\d+", re.I)
-"""A joint's name that says nothing of the arm: a driver's other topic may give it."""
+_GENERIC = re.compile(r"(?:joint|axis|j|a)?[_\- .]*(\d+)", re.I)
+"""A joint's name that says no more than its number: a driver's other topic may give it."""
 
 _TURN_RAD = 2 * np.pi
 
@@ -53,7 +53,8 @@ def match_joints(joints: Sequence[str], columns: Sequence[str]) -> tuple[int, ..
     """The index of each joint's column.
 
     Drivers give a joint several names: `j2s7s300_joint_3`, `left_joint_3`, `joint3`. So names are
-    compared whole first, then by their ending, then by the number that they end in.
+    compared whole first, then by their ending, then by the number that they end in. Columns that
+    are only numbered, as many as the arm has joints, are its joints from base to tool.
 
     Args:
         joints: the arm's, base to tool.
@@ -78,13 +79,18 @@ def match_joints(joints: Sequence[str], columns: Sequence[str]) -> tuple[int, ..
                 f"joint {joints[first]} could be {names}: name an arm whose joints are called "
                 "as one of them (--urdf FILE --tool-link LINK)"
             )
+    found = enumerate(map(_GENERIC.fullmatch, columns))
+    numbered = sorted((int(name[1]), k) for k, name in found if name)
+    if [number - numbered[0][0] for number, _ in numbered] == list(range(len(joints))):
+        return tuple(k for _, k in numbered)
     missing = [
         joint for joint in joints if not any(_is_joint_number(joint, name) for name in columns)
     ]
     there = listed(map(short_name, columns))
     raise NotFoundError(
         f"no joint of the log is {', '.join(missing or joints)} (there: {there}): record all "
-        "joints of the arm, or name the arm with --urdf FILE --tool-link LINK"
+        "joints of the arm, or name the arm that it is of with --arm NAME, or with --urdf FILE "
+        "--tool-link LINK"
     )
 
 

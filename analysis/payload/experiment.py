@@ -24,6 +24,7 @@ from analysis.payload.checks import (
 from analysis.payload.detection import EFFORT, PayloadDetection, conventions_of, read_tares
 from analysis.payload.presets import PRESETS
 from analysis.payload.secant import secant
+from analysis.payload.torque_terms import CURRENT_GAIN, GAIN
 from analysis.payload.which_arm import which_arm
 from analysis.record import Rebound
 from analysis.selection import Selection
@@ -82,7 +83,7 @@ class PayloadExperiment:
         card = selection.arm_card
         if card is not None:
             card.check_arm(arm, log.joints)
-        tares = read_tares(selection.tares, arm, log, selection.topic, selection.torque_constants)
+        tares = read_tares(arm, log, selection)
         for name, tare in numbered("tare", tares):
             warnings += [f"{name}: {warning}" for warning in tare.log.warnings]
         fields = [field for field in (log.position, log.velocity, log.effort) if field is not None]
@@ -101,6 +102,7 @@ class PayloadExperiment:
             conventions=conventions_of(selection),
             warnings=tuple(warnings),
             card=card,
+            gain=CURRENT_GAIN if selection.of_currents else GAIN,
         )
 
     def problem(self, detection: PayloadDetection, initial: Array) -> Problem:

@@ -39,36 +39,23 @@ def secant(
         lag_s: of the torques behind the positions [s].
         com_m: the payload's centre in the tool frame.
         scales_nm: what each joint is built for [N·m], shape (J,).
-        tares: while it held nothing: their mean residuals are the offsets.
+        tares: while it held nothing: what the same line makes of them is no payload.
     """
     arm = arm.without_limits()
-    path = JointPath(motion.seconds, *motion.at(motion.seconds - lag_s))
-    empty_nm = _empty_nm(arm, path, convention)
-    one = Payload(1.0, com_m)
-    for_kg = joint_efforts_nm(arm, path, one) - joint_efforts_nm(arm, path)
-    residual = convention.sign * motion.effort - empty_nm
-    used = motion.used
-    if not tares:
+    masses_kg = []
+    for run in (motion, *tares):
+        path = JointPath(run.seconds, *run.at(run.seconds - lag_s))
+        empty_nm = joint_efforts_nm(arm, path)
+        slopes = joint_efforts_nm(arm, path, Payload(1.0, com_m)) - empty_nm
+        if not convention.has_gravity:
+            empty_nm -= held_efforts_nm(arm, path)
+        residual = convention.sign * run.effort - empty_nm
         # An offset of normal prior is projected out of both, less so where the noise is large.
         noise = np.var(residual - np.mean(residual, axis=0), axis=0)
         offsets = (_OFFSET_SHARE * scales_nm) ** 2
         free = offsets / (offsets + noise / len(residual))
-        residual = residual - free * np.mean(residual, axis=0)
-        slopes = for_kg - free * np.mean(for_kg, axis=0)
-    else:
-        zeros_nm = []
-        for tare in tares:
-            tare_path = JointPath(tare.seconds, *tare.at(tare.seconds - lag_s))
-            tare_nm = _empty_nm(arm, tare_path, convention)
-            zeros_nm.append(np.mean(convention.sign * tare.effort - tare_nm, axis=0))
-            used = used & tare.used
-        residual = residual - np.mean(zeros_nm, axis=0)
-        slopes = for_kg
-    slopes, residual = slopes[:, used], residual[:, used]
-    return float(np.sum(slopes * residual) / np.sum(slopes**2))
-
-
-def _empty_nm(arm: Arm, path: JointPath, convention: Convention) -> Array:
-    """Torques of the empty arm as a driver of that convention gives them [N·m], shape (T, J)."""
-    empty_nm = joint_efforts_nm(arm, path)
-    return empty_nm if convention.has_gravity else empty_nm - held_efforts_nm(arm, path)
+        residual -= free * np.mean(residual, axis=0)
+        slopes -= free * np.mean(slopes, axis=0)
+        slopes, residual = slopes[:, run.used], residual[:, run.used]
+        masses_kg.append(float(np.sum(slopes * residual) / np.sum(slopes**2)))
+    return masses_kg[0] - float(np.mean(masses_kg[1:] or [0.0]))

@@ -27,6 +27,7 @@ from analysis.payload.torque_model import (
     LoggedArm,
 )
 from analysis.payload.torque_terms import (
+    GAIN,
     MASS,
     NOT_SIMULATED,
     PAYLOAD_TERMS,
@@ -56,6 +57,7 @@ def fit_payload(
     *,
     conventions: Sequence[Convention] = CONVENTIONS,
     known: NormalEquations | None = None,
+    gain: float = GAIN,
 ) -> PayloadFit:
     """Find mass, centre of mass and inertia of what an arm holds.
 
@@ -68,6 +70,8 @@ def fit_payload(
         tares: while it held nothing, with the same driver: any motions will do.
         conventions: that the driver may have, as far as its owner knows.
         known: what other runs said of the arm's own terms (`PayloadFit.learnt`).
+        gain: usual error of the torques, as a fraction: of each joint alone, and, as far as it is
+            more than a driver's own, of all joints in common.
     """
     model = ArmModel(arm)
     motions: list[ArmMotion] = [motion]
@@ -79,7 +83,7 @@ def fit_payload(
     empty_nm = [model.empty_nm(*one.at(one.seconds)) for one in motions]
     scales_nm = torque_scales_nm(arm, motions, empty_nm)
     drifts = known is not None or len(motions) > 1
-    terms = make_terms(arm, scales_nm, len(motions), drifts=drifts)
+    terms = make_terms(arm, scales_nm, len(motions), drifts=drifts, gain=gain)
     if known is not None:
         known = known.among(terms.arms, len(terms.names))
     runs = tuple(
@@ -97,7 +101,8 @@ def fit_payload(
     drifting = make_terms(arm, scales_nm, len(motions), drifts=True).sds
     priors = np.where(terms.sds > 0, best.found.sds, drifting)
     learnt = normal.marginal(terms.arms, priors)
-    return _result(best, lines, at, normal, (odds, arm_odds), learnt)
+    common = np.sqrt(max(gain**2 - GAIN**2, 0.0))
+    return _result(best, lines, at, normal, (odds, arm_odds), learnt, common)
 
 
 def _likeliest(
@@ -178,21 +183,25 @@ def _result(
     normal: NormalEquations,
     odds: tuple[float, float],
     learnt: NormalEquations,
+    common: float,
 ) -> PayloadFit:
-    """Args: odds: of the convention, and of the arm."""
+    """Args: odds: of the convention, and of the arm. common: error of all torques, a fraction."""
     terms, found = fit.terms, fit.found
     means, covariance, bound_kg = _payload(fit, normal)
+    covariance = covariance + common**2 * np.outer(means, means)
     change = found.means - at
     log = fit.runs[0]
     residual_nm = fit.residual_nm(0, lines, change)
-    tare_residuals = tuple(
-        FitResidual(
-            fit.residual_nm(run.run, lines, change)[:, run.motion.used],
-            run.torques_nm(fit.convention)[:, run.motion.used],
-            terms.scales_nm[run.motion.used],
+    tare_residuals = []
+    for run in fit.runs[1:]:
+        counted = np.ix_(run.inside, run.motion.used)
+        tare_residuals.append(
+            FitResidual(
+                fit.residual_nm(run.run, lines, change)[counted],
+                run.torques_nm(fit.convention)[counted],
+                terms.scales_nm[run.motion.used],
+            )
         )
-        for run in fit.runs[1:]
-    )
     effort_nm = log.torques_nm(fit.convention)
     sds = np.sqrt(np.diag(found.covariance))
     lag = int(terms.of["lag"][0])
@@ -216,6 +225,6 @@ def _result(
         predicted_nm=effort_nm - residual_nm,
         used=log.motion.used,
         lag_s=float(found.means[lag]),
-        tare_residuals=tare_residuals,
+        tare_residuals=tuple(tare_residuals),
         learnt=learnt,
     )

@@ -243,6 +243,11 @@ class LoggedArm:
     run: int
     covered: NDArray[np.bool_] | None = None
 
+    @property
+    def inside(self) -> NDArray[np.bool_]:
+        """Samples that are measured, shape (T,): a tare along the log's path may not cover it."""
+        return np.ones(len(self.motion.seconds), bool) if self.covered is None else self.covered
+
     def torques_nm(self, convention: Convention) -> Array:
         """As measured, with the joint's sign [N·m], shape (T, J)."""
         return convention.sign * self.motion.effort

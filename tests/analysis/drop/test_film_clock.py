@@ -12,12 +12,13 @@ import pytest
 from analysis.cli.tune import main
 from analysis.drop.film import find_filmed_drop
 from analysis.drop.motion import tells_speed
-from analysis.selection import Options
+from analysis.selection import Options, Selection
 from analysis.tracking.pictures import Pictures
 from analysis.tracking.track import track_ball
 from analysis.tuning import tune_log
 from tests.analysis.films import short_film
 from tests.conftest import Made
+from tunenet_logs.formats.read_options import ReadOptions
 from tunenet_logs.reader import read_episode
 
 
@@ -46,8 +47,7 @@ def test_its_record_has_no_metre(made: Made, tmp_path: Path, capsys: pytest.Capt
 def test_a_rate_that_is_said_is_its_clock(made: Made, tmp_path: Path):
     log = folder_of(made, tmp_path / "film")
     without = tune_log(log, Options())
-    options = Options()
-    timed = tune_log(log, replace(options, reading=replace(options.reading, rate_hz=60)))
+    timed = tune_log(log, Options(selection=Selection(reading=ReadOptions(rate_hz=60))))
     assert without.estimate is not None
     assert timed.estimate is not None
     assert without.estimate[0] == pytest.approx(timed.estimate[0], abs=2e-3)

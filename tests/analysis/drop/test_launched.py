@@ -10,7 +10,7 @@ import pytest
 
 from analysis.batch import tune_all
 from analysis.record import record_of
-from analysis.selection import Options
+from analysis.selection import Options, Selection
 from analysis.tuning import tune_episode
 from benchmarks.throws import throw
 from recorders.simulators.drop import DropRig, DropSimulator
@@ -70,7 +70,7 @@ def test_six_bounces_of_a_real_basketball_that_was_thrown_down(tmp_path: Path):
 
 
 def test_two_bare_columns_of_a_falling_tennis_ball(tmp_path: Path):
-    options = Options(reading=ReadOptions({"t": "1", "z": "2"}))
+    options = Options(selection=Selection(reading=ReadOptions({"t": "1", "z": "2"})))
     log = real("labs/fallingtennisball02.txt")
     tune_all([log], options, tmp_path, 1, Progress(quiet=True))
     result = json.loads((tmp_path / "fallingtennisball02.json").read_text())

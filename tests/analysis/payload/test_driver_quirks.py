@@ -30,6 +30,14 @@ def test_names_without_numbers_are_matched_by_their_ending():
     assert match_joints(UR, columns) == (1, 2, 0)
 
 
+@pytest.mark.parametrize("first", [0, 1])
+def test_columns_that_are_only_numbered_are_the_joints_from_base_to_tool(first):
+    columns = ("gripper", *(f"joint{first + at}" for at in (1, 0, 2)))
+    assert match_joints(UR, columns) == (2, 1, 3)
+    with pytest.raises(NotFoundError, match="--arm NAME"):
+        match_joints(UR, (*columns, f"joint{first + 3}"))
+
+
 def test_a_missing_joint_is_named_with_what_is_there():
     with pytest.raises(NotFoundError, match=r"j2s7s300_joint_7 \(there: j2s7s300_joint_1, "):
         match_joints(JACO, JACO[:-1])

@@ -119,6 +119,45 @@ def test_a_tare_is_in_amperes_too():
     assert found == pytest.approx(HELD.mass_kg, abs=0.03)
 
 
+@pytest.mark.parametrize("off", [0.85, 1.0, 1.15])
+def test_a_mass_from_currents_is_no_surer_than_the_constants(off: float):
+    """One laboratory's are all too high beside another's: the interval holds the truth."""
+    held, empty = (
+        changed(circle_log(*run), effort=in_amperes(CONSTANTS))
+        for run in ((HELD, DRIVER), (None, DRIVER.another_run()))
+    )
+    selection = Selection(
+        effort_unit="A",
+        torque_constants=tuple(off * constant for constant in CONSTANTS),
+        tares=(empty,),
+    )
+    tuning = tune_episode(held, Options(method="fit", selection=selection))
+    low_kg, high_kg = tuning.detection.fit.held.interval95
+    assert low_kg < HELD.mass_kg < high_kg
+    assert 0.15 < (high_kg - low_kg) / 2 / HELD.mass_kg < 0.4
+
+
+def test_a_tare_is_read_as_the_log_is(tmp_path: Path, command: Command):
+    """Tables without a line of names, of an arm whose joints have none of their own."""
+    names = [f"{what}_{joint}" for what in ("position", "effort") for joint in range(1, 8)]
+    columns = ",".join(["t=1", *(f"{name}={number}" for number, name in enumerate(names, start=2))])
+    for name, load in (("held", HELD), ("empty", None)):
+        episode = circle_log(load, CLEAN)
+        position, effort = (
+            next(one for one in episode.signals.values() if one.unit == unit)
+            for unit in ("rad", "N·m")
+        )
+        seconds = position.stamps_ns * 1e-9
+        rows = np.column_stack([seconds, position.values, effort.values])
+        np.savetxt(tmp_path / f"{name}.csv", rows, "%.9g", delimiter=",")
+    done = command(
+        "tunenet-tune", "held.csv", "--tare", "empty.csv", "--columns", columns, cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    found = json.loads((tmp_path / "held.json").read_text())["parameters"]["payload_mass"]["value"]
+    assert found == pytest.approx(HELD.mass_kg, abs=2e-3)
+
+
 @pytest.mark.parametrize("count", [2, 6, 8])
 def test_constants_that_do_not_fit_the_joints_are_counted(held: Episode, count: int):
     said = reason(held, effort_unit="A", torque_constants=(9.5,) * count)

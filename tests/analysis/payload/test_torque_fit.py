@@ -239,6 +239,16 @@ def test_the_secant_beside_a_tare_is_right_whichever_way_torques_count(sign):
     assert found == pytest.approx(MASS_KG, abs=1e-3)
 
 
+def test_a_tare_that_ends_before_the_log_fits_where_it_is():
+    """Along the log's path it covers 93 %: what it is beyond that is nobody's measurement."""
+    held, empty = (motion_of(circle_log(load, driver(11))) for load in (HELD, None))
+    kept = slice(int(0.07 * len(empty.seconds)), None)
+    short = replace(empty, seconds=empty.seconds[kept], effort=empty.effort[kept])
+    (left,) = fit_payload(ARM, held, [short]).tare_residuals
+    assert len(left.residual_nm) < len(held.seconds)
+    np.testing.assert_allclose(np.std(left.residual_nm, axis=0), 0.2, atol=0.05)
+
+
 def test_the_centres_error_is_that_of_a_ratio():
     """First moments over mass: drawn from their covariance, the quotients spread as is said."""
     rng = np.random.default_rng(3)

@@ -197,7 +197,8 @@ def test_outcomes():
 @pytest.mark.slow
 def test_the_command_prints_and_writes_strangers(capsys: pytest.CaptureFixture, tmp_path: Path):
     path = tmp_path / "a.json"
-    words = ["payload", "--sections", "strangers", "--seeds", "1", "--targets", "1", "--quiet"]
+    words = ["payload", "--sections", "strangers,conventions", "--seeds", "1"]
+    words += ["--targets", "1", "--quiet"]
     assert main([*words, "--json", str(path)]) == 0
     printed = capsys.readouterr().out
     assert "full, twice as large" in printed
