@@ -107,6 +107,7 @@ def test_torques_positions_and_velocities_of_joints(tmp_path: Path):
     [
         ("t,/joint_states/joint1/effort", "joint1"),
         ("t,/joint_states/effort[1]", "joint1"),
+        ("t,tau_J_1", "joint1"),
         ("t,field.effort1", "joint1"),
         ("t,effort_1", "joint1"),
         ("t,joint1_effort (N·m)", "joint1"),

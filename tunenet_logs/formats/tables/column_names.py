@@ -134,6 +134,9 @@ _QUANTITIES = {
 }
 """What JointState calls them, and the current of a joint's motor."""
 
+_JOINT = ("joint", "j")
+"""Words for any joint, beside its number."""
+
 _ASKED = frozenset(
     (
         *("target", "desired", "command", "commanded", "cmd", "setpoint", "goal", "action"),
@@ -296,7 +299,7 @@ def _joint_of(words: Words) -> JointColumn | JointNameColumn | UnusedColumn | No
         return why
     group, joint = _apart((*words[:at], *words[at + 1 :]))
     digits = match[2] or "".join(word for word in joint[-1:] if word.isdecimal())
-    named = [word for word in joint if word.lower() != "joint" and not word.isdecimal()]
+    named = [word for word in joint if word.lower() not in _JOINT and not word.isdecimal()]
     if not named and digits:
         return JointColumn(group, f"joint{digits}", quantity, scale, number=digits)
     label = "_".join(joint) + match[2]
