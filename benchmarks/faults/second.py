@@ -141,8 +141,8 @@ VERDICTS = (
     Fault(
         "an offset that is far too negative is taken for usual",
         "analysis/payload/checks.py",
-        "worst = max(fit.nuisances, key=lambda term: abs(term.value) / term.prior_sd)",
-        "worst = max(fit.nuisances, key=lambda term: term.value / term.prior_sd)",
+        "worst = max(usual, key=lambda term: abs(term.value) / term.prior_sd)",
+        "worst = max(usual, key=lambda term: term.value / term.prior_sd)",
         ("tests/analysis/payload/test_checks.py",),
     ),
     Fault(

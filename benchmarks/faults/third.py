@@ -25,10 +25,10 @@ FITS = (
         ("tests/tunenet_logs/test_late_stamps.py",),
     ),
     Fault(
-        "beside a tare, the second opinion forgets that a driver's torques have another sign",
+        "the second opinion forgets that a driver's torques have another sign",
         "analysis/payload/secant.py",
-        "zeros_nm.append(np.mean(convention.sign * tare.effort - tare_nm, axis=0))",
-        "zeros_nm.append(np.mean(tare.effort - tare_nm, axis=0))",
+        "residual = convention.sign * run.effort - empty_nm",
+        "residual = run.effort - empty_nm",
         ("tests/analysis/payload/test_torque_fit.py",),
     ),
     Fault(
