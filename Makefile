@@ -76,6 +76,6 @@ supported-python:
 	@touch $@
 
 .venv/developing: .venv/installed
-	$(INSTALL) -e '.[dev,eval,ros2,tables,train]'
+	$(INSTALL) -e '.[cluster,dev,eval,remote,ros2,tables,train]'
 	$(BIN)/pyright --version
 	@touch $@

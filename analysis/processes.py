@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from multiprocessing import active_children, get_context
+from multiprocessing import active_children, get_context, parent_process
+from threading import Thread
 from typing import Generic, TypeVar
 
 from tunenet_logs.commandline import BLAS_THREADS
@@ -18,6 +20,12 @@ from tunenet_logs.terminal import Progress
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+
+_AHEAD = 2
+"""Items given out for each process: the next is there when one is done."""
+
+_TRIES = 2
+"""Of an item alone, after a process died: one may have been killed for another's memory."""
 
 
 @dataclass(frozen=True)
@@ -40,9 +48,6 @@ def parallel_map(
     jobs: int | None,
     progress: Progress,
     what: tuple[str, str],
-    *,
-    may_stay: bool = False,
-    lost: Callable[[Item], Result] | None = None,
 ) -> list[Result]:
     """`work` on every piece, in `jobs` processes.
 
@@ -52,45 +57,101 @@ def parallel_map(
         jobs: None for all cores.
         progress: shows what is under way.
         what: is done, and the name of a unit of it.
-        may_stay: whether one job runs in this process, with as many threads as that has.
-        lost: the result of an item whose process dies twice, the second time alone; without it a
-            process that dies is an error.
 
     Returns:
         One result for each piece, in their order.
+
+    Raises:
+        BrokenProcessPool: a process died.
     """
-    jobs = min(jobs or len(os.sched_getaffinity(0)), max(1, len(pieces)))
     total = sum(piece.units for piece in pieces)
     results: dict[int, Result] = {}
     with progress.bar(total, *what) as bar:
-
-        def done(at: int, result: Result) -> None:
+        for at, result in streamed(work, [piece.item for piece in pieces], jobs):
             results[at] = result
             if pieces[at].name:
                 bar.set_postfix_str(pieces[at].name, refresh=False)
             bar.update(pieces[at].units)
-
-        if jobs == 1 and may_stay:
-            for at, piece in enumerate(pieces):
-                done(at, work(piece.item))
-            return list(results.values())
-        with _pool(jobs) as pool:
-            with signals_held(), heard():  # this process ends its workers, quietly
-                futures = {pool.submit(work, piece.item): at for at, piece in enumerate(pieces)}
-            for future in as_completed(futures):
-                died = isinstance(future.exception(), BrokenProcessPool)
-                if lost is None or not died:
-                    done(futures[future], future.result())
-        for at, piece in enumerate(pieces):  # a process that dies takes its pool with it
-            if lost is not None and at not in results:
-                with _pool(1) as pool:
-                    with signals_held(), heard():
-                        future = pool.submit(work, piece.item)
-                    try:
-                        done(at, future.result())
-                    except BrokenProcessPool:
-                        done(at, lost(piece.item))
     return [results[at] for at in range(len(pieces))]
+
+
+def streamed(
+    work: Callable[[Item], Result],
+    items: Sequence[Item],
+    jobs: int | None,
+    *,
+    may_stay: bool = False,
+    lost: Callable[[Item], Result] | None = None,
+) -> Iterator[tuple[int, Result]]:
+    """`work` on every item, in `jobs` processes; the results as they come, none of them kept.
+
+    A process that dies takes with it what all of them had under way: each of these is done again,
+    alone.
+
+    Args:
+        work: a function of a module, so that a process can find it.
+        items: what is to be done.
+        jobs: None for all cores.
+        may_stay: whether one job runs in this process, with as many threads as that has.
+        lost: the result of an item whose process died alone, too, each time that it was tried;
+            without it a process that dies is an error.
+
+    Yields:
+        The number of an item, and its result.
+
+    Raises:
+        BrokenProcessPool: a process died, and there is no `lost`.
+    """
+    jobs = min(jobs or len(os.sched_getaffinity(0)), max(1, len(items)))
+    if jobs == 1 and may_stay:
+        yield from ((at, work(item)) for at, item in enumerate(items))
+        return
+    waiting = deque(range(len(items)))
+    while waiting:
+        under_way: set[int] = set()
+        try:
+            yield from _pooled(work, items, waiting, under_way, jobs)
+        except BrokenProcessPool:
+            if lost is None:
+                raise
+        for at in sorted(under_way):
+            yield at, _alone(work, items[at], lost)
+
+
+def _pooled(
+    work: Callable[[Item], Result],
+    items: Sequence[Item],
+    waiting: deque[int],
+    under_way: set[int],
+    jobs: int,
+) -> Iterator[tuple[int, Result]]:
+    """What waits is done, few at a time, so that many results never wait for whoever takes them."""
+    with _pool(jobs) as pool:
+        futures: dict[Future[Result], int] = {}
+        while waiting or futures:
+            with signals_held(), heard():  # this process ends its workers, quietly
+                while waiting and len(futures) < _AHEAD * jobs:
+                    at = waiting.popleft()
+                    under_way.add(at)
+                    futures[pool.submit(work, items[at])] = at
+            for future in wait(futures, return_when=FIRST_COMPLETED).done:
+                result = future.result()
+                at = futures.pop(future)
+                under_way.discard(at)
+                yield at, result
+
+
+def _alone(
+    work: Callable[[Item], Result], item: Item, lost: Callable[[Item], Result] | None
+) -> Result:
+    """One item in a process of its own, as often as `_TRIES`."""
+    for _ in range(_TRIES):
+        with suppress(BrokenProcessPool), _pool(1) as pool:
+            with signals_held(), heard():
+                future = pool.submit(work, item)
+            return future.result()
+    assert lost is not None
+    return lost(item)
 
 
 @contextmanager
@@ -101,8 +162,9 @@ def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
     """
     before = {name: os.environ.get(name) for name in BLAS_THREADS}
     os.environ.update(dict.fromkeys(BLAS_THREADS, "1"))
-    quiet = silence_libraries if is_silent() else None
-    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=quiet)
+    pool = ProcessPoolExecutor(
+        jobs, mp_context=get_context("spawn"), initializer=_begin, initargs=(is_silent(),)
+    )
     try:
         yield pool
     except BaseException:
@@ -117,3 +179,16 @@ def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
             else:
                 os.environ[name] = value
     pool.shutdown()
+
+
+def _begin(silently: bool) -> None:
+    """The first lines of a worker: it ends with the process that started it, however that ends."""
+    if silently:
+        silence_libraries()
+    Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    if (parent := parent_process()) is not None:
+        parent.join()
+        os._exit(1)

@@ -9,7 +9,7 @@ import resource
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import chdir, contextmanager, redirect_stderr, redirect_stdout
 from importlib import import_module
 from importlib.util import find_spec
@@ -18,6 +18,10 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from analysis.batch.found_logs import find_logs
+from analysis.batch.one_log import Also, Result, Writing
+from analysis.batch.run import Order, run_batch
+from analysis.selection import Options
 from recorders.filmed_drop import FilmOrder, film_drop
 from recorders.session import record_episode
 from recorders.simulated_drop import DropOrder, simulate_drop
@@ -34,6 +38,23 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as a shell's `&` has it
     signal.signal(signal.SIGINT, signal.default_int_handler)
 if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:  # and `nohup`, which what is started inherits
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
+def tune_all(
+    logs: Sequence[Path],
+    options: Options,
+    folder: Path | None,
+    jobs: int,
+    progress: Progress,
+    *,
+    overwrite: bool = False,
+    also: Also | None = None,
+) -> list[Result]:
+    """A few logs tuned without a ledger; the results in their order."""
+    writing = Writing(overwrite=overwrite, also=also)
+    found = find_logs(logs).logs
+    return run_batch(Order(found, options, writing, folder), progress, jobs=jobs).results
+
 
 settings.register_profile("suite", max_examples=50, deadline=None, derandomize=True)
 settings.register_profile("thorough", max_examples=500, deadline=None)

@@ -73,6 +73,11 @@ class Progress:
 
     quiet: bool = False
 
+    @property
+    def shows_bars(self) -> bool:
+        """Whether bars are seen by anybody."""
+        return not self.quiet and sys.stderr.isatty()
+
     def say(self, text: str) -> None:
         """A line on standard error, above a bar that is shown there."""
         if self.quiet:
@@ -87,7 +92,7 @@ class Progress:
     @contextmanager
     def bar(self, total: int | None, what: str, unit: str) -> Iterator[Bar]:
         """A bar over `total` units of work; count and rate alone where that is not known."""
-        if self.quiet or not sys.stderr.isatty():
+        if not self.shows_bars:
             yield _NoBar()
             return
         from tqdm import tqdm

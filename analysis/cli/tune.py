@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -11,188 +10,17 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from analysis.cli.options import (
-    arm_options,
-    ball_options,
-    jobs_option,
-    known_arm,
-    known_ball,
-    known_card,
-    known_tares,
-    of_efforts,
-    preset_option,
-)
-from analysis.registry import METHODS, kinds
-from recorders.engine_option import engine_option, in_engine
-from tunenet_logs.commandline import (
-    Parser,
-    number,
-    read_options_of,
-    reading_options,
-    run,
-    whole,
-)
+from analysis.cli.options import known_arm, known_ball, known_card, known_tares, of_efforts
+from analysis.cli.tune_words import build_parser
+from recorders.engine_option import in_engine
+from tunenet_logs.commandline import read_options_of, run
 from tunenet_logs.errors import NotFoundError, UsageError
-from tunenet_logs.terminal import Progress, listed, one_line
+from tunenet_logs.terminal import Progress, listed
 
 if TYPE_CHECKING:
+    from analysis.batch.one_log import Writing
     from analysis.record import Provenance, Tuning
     from analysis.selection import Selection
-
-_DESCRIPTION = """\
-Find the physical parameters that make a simulator move as a log shows: for a
-dropped ball, its coefficient of restitution; for an arm that moves and holds something,
-its mass. Reads videos (.mp4, .mov, ...), tables (.csv), exports of motion capture,
-video trackers, sensors and robots, and logs (MCAP, ROS 1 .bag, ROS 2 .db3 and bag
-folders) that hold the ball's position (PoseStamped, Odometry, TF,
-...), a camera's pictures, or joints with their torques (JointState, Kinova's) under
-any topic, ours or not.
-
-Writes NAME.json (the result) and NAME.rrd (the review, for `rerun NAME.rrd`)
-beside each log, and prints a table. Exit code 1 if a log was rejected."""
-
-_EXAMPLES = """\
-  tunenet-tune drop.mcap
-  tunenet-tune sample_logs/*.mcap -o tuned --jobs 2
-  tunenet-tune phone.mp4
-  tunenet-tune phone.mp4 --preview                 (mark the ball on a page)
-  tunenet-tune phone.mp4 --roi 400,0,500,1080 --start 2.5
-  tunenet-tune phone.mp4 --ball table-tennis       (takes the air's drag into account)
-  tunenet-tune phone.mp4 --ball-diameter 0.04 --ball-mass 0.0027
-  tunenet-tune mocap.mcap --topic /vrpn/ball/pose --start 3.5 --end 8
-  tunenet-tune Take_07.csv                         (OptiTrack, Vicon, Qualisys, ...)
-  tunenet-tune ball.csv --columns t=Zeit,z='Hoehe (cm)'
-  tunenet-tune spots.csv --fps 240                 (frames and no times)
-  tunenet-tune claps.csv --columns times=1         (times of impacts alone)
-  tunenet-tune drop.mcap --iterations 10 --initial 0.5
-  tunenet-tune payload.bag --tare empty.bag        (what a Jaco holds)
-  tunenet-tune payload.bag --arm ur5e
-  tunenet-tune run.mcap --tare empty.mcap --save-arm-card arm.json
-  tunenet-tune next.mcap --arm-card arm.json       (no tare needed)
-  tunenet-tune run.mcap --gravity included --effort-unit A --torque-constants 9.5
-  tunenet-tune run.mcap --urdf arm.urdf --tool-link flange
-  tunenet-tune drop.mcap --weights my-drop.safetensors"""
-
-
-def build_parser() -> Parser:
-    """The command's arguments."""
-    parser = Parser("tunenet-tune", _DESCRIPTION, _EXAMPLES)
-    add = parser.add_argument
-    add("logs", nargs="+", type=Path, metavar="LOG", help="log to tune from")
-    add("-o", "--output", type=Path, metavar="DIR", help="folder for the results")
-    add(
-        "--task",
-        choices=kinds(),
-        help="what the log shows (default: what it says itself, or what is in it)",
-    )
-    add(
-        "--topic",
-        help="channel with the ball's position (default: /ball/pose, one named like a "
-        "ball, else the first in which a ball drops), with pictures of it, or with torques",
-    )
-    add("--start", type=number(0, 1e9, "s"), metavar="S", help="leave out what comes before [s]")
-    add("--end", type=number(0, 1e9, "s"), metavar="S", help="leave out what comes after [s]")
-    add(
-        "--height",
-        type=number(1e-3, 100, "m"),
-        metavar="M",
-        help="of the drop, where a log holds impact times alone [m]",
-    )
-    _picture_options(parser.add_argument_group("ball in pictures (found by its flight without)"))
-    ball_options(parser.add_argument_group("ball in pictures, where it is known"))
-    arm_options(parser.add_argument_group("payload of an arm"))
-    reading_options(parser.add_argument_group("what a file does not say itself"))
-    preset_option(parser)
-    engine_option(parser)
-    add(
-        "--method",
-        choices=METHODS,
-        metavar="NAME",
-        help="how the parameters are estimated: the network's steps and the exact fit after them "
-        "(tunenet+refine, the default of the preset default), the steps alone (tunenet), the fit "
-        f"alone (fit), or by rollouts alone: {', '.join(list(METHODS)[3:])}. Only fits give an "
-        "interval",
-    )
-    add(
-        "--iterations",
-        type=whole(1, 1000),
-        default=5,
-        metavar="K",
-        help="rollouts that the method may spend, before those that check its answer (default: 5)",
-    )
-    add(
-        "--initial",
-        type=_vector,
-        metavar="X[,Y,...]",
-        help="restitution or mass [kg] to start from, one value a parameter (default with a "
-        "network: 0, a ball that does not bounce; 0.5 kg; without: the middle of the range)",
-    )
-    add("--weights", type=Path, metavar="FILE", help="weights by tunenet-train (default: shipped)")
-    jobs_option(parser, "logs at a time")
-    add("--overwrite", action="store_true", help="replace results of other logs")
-    add("--quiet", action="store_true", help="no progress bar")
-    return parser
-
-
-def _picture_options(group: argparse._ArgumentGroup) -> None:
-    add = group.add_argument
-    add("--roi", type=_box, metavar="X,Y,W,H", help="look for the ball in this box only [px]")
-    add(
-        "--hsv",
-        type=_hsv,
-        metavar="RANGE",
-        help="its colour as H,S,V:H,S,V, lowest and highest; hue 0 to 179 (170 to 10 is red), "
-        "saturation and value 0 to 255",
-    )
-    add(
-        "--ball-at",
-        type=_place,
-        metavar="X,Y,S",
-        help="where it is seen moving [px], and when [s since the first picture]",
-    )
-    add(
-        "--preview",
-        action="store_true",
-        help="show the pictures on a page of this machine, to mark the ball with a click; "
-        "for one log",
-    )
-
-
-def _numbers(text: str, count: int, what: str) -> tuple[float, ...]:
-    try:
-        values = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        values = ()
-    if len(values) != count or not all(0 <= value < 1e6 for value in values):
-        raise argparse.ArgumentTypeError(f"{text!r} is not {what}")
-    return values
-
-
-def _vector(text: str) -> tuple[float, ...]:
-    return _numbers(text, text.count(",") + 1, "a number, or some with commas between them")
-
-
-def _box(text: str) -> tuple[int, ...]:
-    values = _numbers(text, 4, "a box X,Y,W,H of whole pixels, such as 400,0,500,1080")
-    if any(value != int(value) for value in values) or not values[2] or not values[3]:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a box of whole pixels")
-    return tuple(int(value) for value in values)
-
-
-def _place(text: str) -> tuple[float, ...]:
-    return _numbers(text, 3, "a place and time X,Y,S, such as 310,95.5,1.2")
-
-
-def _hsv(text: str) -> tuple[tuple[int, ...], ...]:
-    ends = text.split(":")
-    what = "a range H,S,V:H,S,V, such as 5,120,80:20,255,255"
-    if len(ends) != 2:
-        raise argparse.ArgumentTypeError(f"{text!r} is not {what}")
-    low, high = (_numbers(end, 3, what) for end in ends)
-    most = (179, 255, 255)
-    if any(value > top for end in (low, high) for value, top in zip(end, most, strict=True)):
-        raise argparse.ArgumentTypeError(f"{text!r}: hue goes to 179, saturation and value to 255")
-    return tuple(int(value) for value in low), tuple(int(value) for value in high)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -201,8 +29,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _tune(arguments: argparse.Namespace) -> int:
-    from analysis.batch import tune_all
-    from analysis.report import table
+    from analysis.batch.found_logs import find_logs
+    from analysis.batch.run import Order, run_batch
+    from analysis.batch.summary import closing, print_results, summary
     from analysis.selection import Hints, Options, Selection
 
     if None not in (arguments.start, arguments.end) and arguments.start >= arguments.end:
@@ -241,34 +70,47 @@ def _tune(arguments: argparse.Namespace) -> int:
         if arguments.preview
         else selection,
     )
-    jobs = arguments.jobs or len(os.sched_getaffinity(0))
-    results = tune_all(
-        arguments.logs,
+    found = find_logs(arguments.logs)
+    wants_ledger = arguments.resume or arguments.csv is not None
+    if wants_ledger and arguments.output is None:
+        raise UsageError("--resume and --csv are about the ledger in -o DIR; give it")
+    if arguments.csv is not None:
+        from analysis.result_files import check_writable
+
+        check_writable(arguments.csv, "--csv")
+    if found.left_out:
+        progress.say(f"tunenet-tune: {found.left_out} files of folders are no logs; left out")
+    order = Order(
+        found.logs,
         options,
+        _writing(arguments),
         arguments.output,
-        jobs,
-        progress,
-        overwrite=arguments.overwrite,
-        also=_saving_card(arguments),
+        arguments.output is not None and (found.are_many or wants_ledger),
+        arguments.resume,
     )
-    rows = [result.row for result in results]
-    if any(row.is_read for row in rows):
-        print(table([row for row in rows if row.is_read]))
-    for result in results:
-        record = result.row.record
-        remarks = record.warnings if result.row.is_read else (record.reason, *record.warnings)
-        for remark in () if result.trouble and not result.row.is_read else remarks:
-            print(one_line(f"tunenet-tune: {result.row.log}: {remark}"), file=sys.stderr)
-        if result.trouble:
-            print(one_line(f"tunenet-tune: {result.trouble}"), file=sys.stderr)
-    engines = {one.row.record.simulator["engine"] for one in results if one.row.record.simulator}
-    if engines:
-        print(f"\nsimulated by {', '.join(sorted(engines))}")
-    reviews = [one_line(result.review) for result in results if result.review]
-    if reviews:
-        print("review: " + "\n        ".join(f"rerun {review}" for review in reviews))
-    failed = [one.row.record.verdict == "rejected" or one.trouble for one in results]
-    return int(any(failed))
+    stream = None
+    if arguments.ray is not None:
+        from analysis.batch.ray_cluster import on_ray
+
+        stream = partial(on_ray, arguments.ray, arguments.jobs)
+    batch = run_batch(
+        order, progress, stream, arguments.jobs, after=partial(closing, order, arguments.csv)
+    )
+    print_results(batch.results)
+    print(summary(batch, len(found.logs)), end="")
+    return int(batch.failed > 0)
+
+
+def _writing(arguments: argparse.Namespace) -> Writing:
+    """What is written of each log."""
+    from analysis.batch.one_log import Writing
+
+    reviewed = Writing().reviewed
+    if arguments.no_review:
+        reviewed = frozenset[str]()
+    elif arguments.review_only is not None:
+        reviewed = frozenset([arguments.review_only])
+    return Writing(arguments.overwrite, reviewed, _saving_card(arguments))
 
 
 def _saving_card(
@@ -290,11 +132,13 @@ def _check_preview(arguments: argparse.Namespace) -> None:
             raise UsageError(f"--preview does not go with {option}; leave one out")
 
 
-def _marked(log: Path, selection: Selection, progress: Progress) -> Selection:
+def _marked(log: Path | str, selection: Selection, progress: Progress) -> Selection:
     """The selection with the ball as it is marked on a page; as it is without a mark."""
     from analysis.tracking.ball_picker import mark_ball
     from tunenet_logs.reader import read_episode
 
+    if not isinstance(log, Path):
+        raise UsageError(f"{log}: --preview is for a log on this machine; copy it here first")
     episode = read_episode(log)
     topics = episode.picture_topics
     topic = selection.topic or next(iter(topics), None)

@@ -119,7 +119,9 @@ class BounceSamples:
         ball = Bounce(float(unknowns[RESTITUTION]), float(unknowns[SLOPE]), float(unknowns[DRAG]))
         unit_m_s = GRAVITY_M_S2 * float(np.exp(unknowns[FALL])) / 2
         slowest = SLOWEST_M_S / (ball.impact_speed * unit_m_s)
-        return replace(ball, constant_below=slowest, flies_in=self.flies_in)
+        return Bounce(
+            ball.restitution, ball.slope, ball.drag, constant_below=slowest, flies_in=self.flies_in
+        )
 
     def residuals(self, unknowns: Array) -> Array:
         """Positions of the ball in the camera of these unknowns less those seen, shape (T,)."""
@@ -145,7 +147,9 @@ class BounceSamples:
     def jacobian(self, unknowns: Array, free: tuple[int, ...]) -> Array:
         """Of the residuals over the free unknowns, shape (T, len(free))."""
         times = self.times(unknowns)
-        heights = self.bounce(unknowns).heights(times)
+        timed = IMPACT in free or FALL in free
+        at = np.concatenate([times, times + _SHORT]) if timed else times
+        heights, later = np.split(self.bounce(unknowns).heights(at), [len(times)])
         grow = float(np.exp(unknowns[PERSPECTIVE]))
         depth = np.maximum(1 + (grow - 1) * heights, 1e-3)
         per_height = unknowns[SPAN] * grow / depth**2
@@ -159,8 +163,8 @@ class BounceSamples:
             moved[index] += _SHORT if unknowns[index] < HIGH[index] - _SHORT else -_SHORT
             rise = self.bounce(moved).heights(times) - heights
             columns[index] = per_height * rise / (moved[index] - unknowns[index])
-        if IMPACT in free or FALL in free:
-            speeds = (self.bounce(unknowns).heights(times + _SHORT) - heights) / _SHORT
+        if timed:
+            speeds = (later - heights) / _SHORT
             columns[IMPACT] = -per_height * speeds / np.exp(unknowns[FALL])
             columns[FALL] = -per_height * speeds * times
         if self.bends_s:

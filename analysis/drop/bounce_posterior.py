@@ -91,13 +91,12 @@ def ball_posterior(fit: BounceFit) -> BallPosterior:
     sd = float(np.hypot(likelihood.restitution_sd, least))
     weights = grid.weights
     means = [float(weights @ one) for one in (restitution, grid.slopes, grid.drags)]
-    axes = ((restitution, sd), (grid.slopes, grid.slope_step), (grid.drags, grid.drag_step))
-    ends = np.array(
-        [
-            [mixture_quantile(at, values, one, weights) for at in (0.025, 0.975)]
-            for values, one in axes
-        ]
+    axes = (
+        (restitution, sd, weights),
+        _marginal(grid.slopes, grid.slope_step, weights),
+        _marginal(grid.drags, grid.drag_step, weights),
     )
+    ends = np.array([[mixture_quantile(at, *axis) for at in (0.025, 0.975)] for axis in axes])
     wider = _profile_factors(fit, factor, least) * (1 if fit.samples.in_metres else _FILM_WIDER)
     ends[0] = means[0] + (ends[0] - means[0]) * wider
     ends = np.clip(ends, [[0.0], [-np.inf], [0.0]], [[1.0], [np.inf], [np.inf]])
@@ -233,6 +232,12 @@ class _Grid:
         log += np.log(np.maximum(prior, 1e-300))
         weights = np.exp(log - log.max())
         return cls(flat_slopes, flat_drags, weights / weights.sum(), slope_step, drag_step)
+
+
+def _marginal(values: Array, sd: float, weights: Array) -> tuple[Array, float, Array]:
+    """Each value once, the standard deviation about it, and the weight of all that have it."""
+    once, which = np.unique(values, return_inverse=True)
+    return once, sd, np.bincount(which, weights).astype(np.float64)
 
 
 def _nodes(middle: float, sd: float, low: float, high: float) -> tuple[Array, float]:

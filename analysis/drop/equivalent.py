@@ -58,8 +58,17 @@ def _rebound(ball: Bounce, speed: float) -> float:
 
 
 def _best(times: Array, heights: Array, tried: Array) -> float:
-    rms = [_rms(float(value), times, heights) for value in tried]
-    return float(tried[int(np.argmin(rms))])
+    """Which restitution is nearest, all of them compared at once."""
+    kept = tried[:, None]
+    after = np.maximum(times, 0.0)
+    bouncing = 1 - after * (1 - kept) / (2 * np.maximum(kept, 1e-9))  # e^n when flight n begins
+    inside = np.clip(kept, 1e-9, 1 - 1e-9)
+    speeds = inside ** np.floor(np.log(np.maximum(bouncing, 1e-12)) / np.log(inside))
+    since = after - 2 * inside * (1 - speeds) / (1 - inside)
+    flying = np.where(bouncing > 0, np.maximum(since * (2 * inside * speeds - since), 0.0), 0.0)
+    falling = 1 - np.maximum(times + 1, 0.0) ** 2
+    off = np.where(times < 0, falling, flying) - heights
+    return float(tried[int(np.argmin(np.einsum("rt,rt->r", off, off)))])
 
 
 def _rms(restitution: float, times: Array, heights: Array) -> float:

@@ -7,6 +7,7 @@ drop height. What counts is from the release to the last bounce in view.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,8 +90,12 @@ def simulated_m(detection: AnyDetection, step: Step) -> tuple[Array, Array]:
     return seconds, heights * (detection.drop.drop_height_m if detection.physical else rig_m)
 
 
+@lru_cache(maxsize=1)
 def simulation_fit(detection: AnyDetection, last: Step) -> SimulationFit | None:
-    """The last rollout against every sample in view; None where a preset has no camera for it."""
+    """The last rollout against every sample in view; None where a preset has no camera for it.
+
+    The checks and the record ask for the same one: it is kept until the next.
+    """
     view = _view(detection)
     if view is None:
         return None

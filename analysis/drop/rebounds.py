@@ -50,8 +50,9 @@ _STEPS = np.array([1e-6, 1e-6, 1e-4, 1e-4, 1e-5])
 _FIXED = 1e12
 """Precision of an unknown that is known."""
 
-_ITERATIONS = 6
-"""Of Gauss-Newton's method: it begins nearly at the end, at the fit."""
+_ITERATIONS, _SETTLED = 6, 1e-5
+"""Of Gauss-Newton's method: it begins nearly at the end, at the fit. A step of so few standard
+errors is the last."""
 
 _FEWEST_SAMPLES, _PARABOLA, _CUBIC = 4, 5, 9
 """Of a flight: for a restitution of its own (a parabola has three coefficients), for a parabola
@@ -160,19 +161,25 @@ def _fitted(fit: BounceFit, law: Bounce, first: Array) -> tuple[Array, Array]:
     for _ in range(_ITERATIONS):
         moves = np.diag(steps)
         trials: list[Array] = []
+        known: dict[tuple[float, ...], Array] = {}  # the camera's own unknowns move no ball
         for trial in (values, *(values + moves), *(values - moves)):
             impact_s, log_fall, contact, span, perspective = trial[:5]
-            ball = replace(law, each=tuple(trial[5:]), constant_below=0.0)
-            heights = ball.heights((fit.samples.seconds - impact_s) / np.exp(log_fall))
-            positions = contact + span * projected(heights, float(perspective))
+            moves_as = (impact_s, log_fall, *trial[5:].tolist())
+            if moves_as not in known:
+                ball = replace(law, each=moves_as[2:], constant_below=0.0)
+                known[moves_as] = ball.heights((seconds - impact_s) / np.exp(log_fall))
+            positions = contact + span * projected(known[moves_as], float(perspective))
             trials.append(positions - seen)
         residuals, above, below = np.split(np.column_stack(trials), [1, 1 + len(steps)], axis=1)
         jacobian = (above - below) / (2 * steps)
         normal = jacobian.T @ (weights[:, None] * jacobian) / scale**2 + np.diag(prior)
         gradient = -jacobian.T @ (weights * residuals[:, 0]) / scale**2 - prior * (values - target)
         covariance = np.linalg.pinv(normal)
-        values = values + covariance @ gradient
+        step = covariance @ gradient
+        values = values + step
         values[5:] = np.clip(values[5:], 0.01, 1.0)
+        if np.all(np.abs(step) <= _SETTLED * np.sqrt(np.diag(covariance))):
+            break
     return values[5:], np.sqrt(np.diag(covariance))[5:]
 
 

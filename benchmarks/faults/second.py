@@ -147,10 +147,10 @@ VERDICTS = (
     ),
     Fault(
         "results of a log with a dot in its name are called by what stands before the dot",
-        "analysis/batch.py",
+        "analysis/batch/result_names.py",
         'name.removesuffix(ACTIVE_SUFFIX).rsplit(".", 1)[0]',
         'name.removesuffix(ACTIVE_SUFFIX).split(".", 1)[0]',
-        ("tests/analysis/test_batch.py",),
+        ("tests/analysis/batch/test_results.py",),
     ),
     Fault(
         "shots from a doubtful drop are counted among those whose drop was rejected",

@@ -9,9 +9,9 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from recorders.simulators.base import BallWorld, Parameter
-from recorders.simulators.closed_form.flight import flown, lands_after_s
+from recorders.simulators.closed_form.flight import flown, flown_heights_m, lands_after_s
 from recorders.simulators.contact import CALIBRATED, IMPACT_S, OVERLAP_M, ContactSettings
-from recorders.simulators.engines import engine
+from recorders.simulators.engines import ball_world
 from recorders.simulators.speed_law import SpeedLaw
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
@@ -56,7 +56,8 @@ class DropRig:
         gap_m: height of the ball's underside over the plane when it is let go.
         speed_m_s: upward speed then: 0 for a ball that is dropped. Only with calibrated contacts.
         radius_m: of the ball.
-        rate_hz: samples a second; the engine steps once a sample, and once more at each impact.
+        rate_hz: samples a second; with calibrated contacts the engine steps from impact to impact,
+            else once a sample.
         samples: how many.
         hold_s: how long the ball is held before it is let go.
         start_ns: where the rig's clock is 0, and its first sample unless `times_s` says otherwise.
@@ -100,12 +101,13 @@ class DropRig:
 
 
 class Flight:
-    """A falling and bouncing ball that can be advanced by any time, exactly.
+    """A falling and bouncing ball: the engine solves its impacts, the flights between are exact.
 
     The engine's step is v += -g dt, then z += v dt. It is given the speed with which that ends
-    where the ball is after dt by the closed form of a flight in air; so the step need not be small,
-    only cut where the ball meets the plane. There one very short step lets the engine solve the
-    contact, with the restitution that the ball has at the impact's speed.
+    where the ball is after dt by the closed form of a flight in air; so a step may be long, and
+    only has to end where the ball meets the plane. There one very short step lets the engine solve
+    the contact, with the restitution that the ball has at the impact's speed. Where the ball is
+    between two steps is the closed form's, too.
     """
 
     def __init__(
@@ -118,38 +120,38 @@ class Flight:
         self._gravity = world.contact.gravity_m_s2
         self._height_m = world.radius_m + gap_m
         self._speed_m_s = speed_m_s
-        self._at_rest = False
 
-    def advance(self, seconds: float) -> float:
-        """Advance by `seconds`; the centre's height then [m]."""
-        world, gravity = self._world, self._gravity
-        while seconds > IMPACT_S:
-            impact_s = math.inf
-            if not self._at_rest:
-                gap_m = max(self._height_m - world.radius_m + OVERLAP_M, 0.0)
-                impact_s = lands_after_s(gap_m, self._speed_m_s, gravity, self._drag_1_m)
-            if impact_s > seconds:
-                self._fly(seconds)
+    def heights_m(self, seconds: Array) -> Array:
+        """The centre's heights at increasing times since the ball was let go, shape (T,)."""
+        world, gravity, drag_1_m = self._world, self._gravity, self._drag_1_m
+        heights_m = np.empty(len(seconds))
+        now_s, first = 0.0, 0
+        while first < len(seconds):
+            gap_m = max(self._height_m - world.radius_m + OVERLAP_M, 0.0)
+            lasts_s = lands_after_s(gap_m, self._speed_m_s, gravity, drag_1_m)
+            last = int(np.searchsorted(seconds, now_s + lasts_s))
+            since_s = np.maximum(seconds[first:last] - now_s, 0.0)
+            heights_m[first:last] = flown_heights_m(
+                self._height_m, self._speed_m_s, since_s, gravity, drag_1_m
+            )
+            if last == len(seconds):
                 break
-            if impact_s > IMPACT_S:
-                self._fly(impact_s)
+            self._fly(lasts_s / 2)  # off the plane in the first half, and onto it in the second
+            self._fly(lasts_s / 2)
             world.set_restitution(float(self._law.at(np.array(-self._speed_m_s))))
             world.set_speed(self._speed_m_s + gravity * IMPACT_S)
             self._height_m, self._speed_m_s = world.step(IMPACT_S)
+            now_s, first = now_s + lasts_s + IMPACT_S, last
             if abs(self._speed_m_s) < world.contact.resting_speed_m_s:
-                self._speed_m_s, self._at_rest = 0.0, True
-            seconds -= impact_s + IMPACT_S
-        return self._height_m
+                heights_m[first:] = self._height_m  # the ground bears the weight
+                break
+        return heights_m
 
     def _fly(self, seconds: float) -> None:
-        kick = self._gravity * seconds
-        if self._at_rest:
-            self._world.set_speed(kick)  # the ground bears the weight
-            self._height_m, _ = self._world.step(seconds)
-            return
         height_m, speed_m_s = flown(
             self._height_m, self._speed_m_s, seconds, self._gravity, self._drag_1_m
         )
+        kick = self._gravity * seconds
         self._world.set_speed((height_m - self._height_m) / seconds + kick)
         self._height_m, _ = self._world.step(seconds)
         self._speed_m_s = speed_m_s
@@ -174,7 +176,7 @@ class DropSimulator:
         self.rig = rig
         self.contact = contact
         self.parameters = REAL_BALL if contact.meet_impacts else (RESTITUTION,)
-        self._world = world or engine().ball_world(rig.radius_m, contact)
+        self._world = world or ball_world(rig.radius_m, contact)
         self.engine = self._world.engine
         self.step_hz = rig.rate_hz
 
@@ -227,10 +229,8 @@ class DropSimulator:
         law = SpeedLaw(values[RESTITUTION.name], values[SLOPE.name], -first[1])
         flight = Flight(self._world, rig.gap_m, rig.speed_m_s, law, drag_1_m)
         heights_m = np.full(len(seconds), rig.radius_m + rig.gap_m)
-        now_s = rig.hold_s
-        for index in np.flatnonzero(seconds > rig.hold_s).tolist():
-            heights_m[index] = flight.advance(float(seconds[index]) - now_s)
-            now_s = float(seconds[index])
+        free = seconds > rig.hold_s
+        heights_m[free] = flight.heights_m(seconds[free] - rig.hold_s)
         return heights_m
 
     def _stepped(self, restitution: float) -> Array:

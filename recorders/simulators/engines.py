@@ -5,13 +5,15 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import lru_cache
 from importlib import import_module
 from typing import TYPE_CHECKING, cast
 
 from tunenet_logs.errors import UsageError
 
 if TYPE_CHECKING:
-    from recorders.simulators.base import Engine
+    from recorders.simulators.base import BallWorld, Engine
+    from recorders.simulators.contact import ContactSettings
 
 ENGINES = {
     "pybullet": "recorders.simulators.pybullet.engine",
@@ -46,6 +48,19 @@ def engine(name: str | None = None) -> Engine:
         f"{wanted or 'an engine'} is not installed; pip install {wanted or 'mujoco'} (PyBullet has "
         "wheels for CPython 3.11 on Linux x86-64 alone, MuJoCo for all)"
     )
+
+
+def ball_world(radius_m: float, contact: ContactSettings) -> BallWorld:
+    """A ball over a plane in the engine that simulates: the last few are kept for the next rollout.
+
+    A world costs more than many rollouts, and nothing of one remains in the next.
+    """
+    return _ball_world(engine(), radius_m, contact)
+
+
+@lru_cache(maxsize=4)
+def _ball_world(simulates: Engine, radius_m: float, contact: ContactSettings) -> BallWorld:
+    return simulates.ball_world(radius_m, contact)
 
 
 @contextmanager

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.batch import tune_all
 from analysis.checks import Check, CrossCheck
 from analysis.estimators.base import Estimator, FitResult, Observation, Problem, Step, Trace
 from analysis.experiment import Claim, Preset
@@ -19,7 +18,7 @@ from analysis.registry import EXPERIMENTS, METHODS, experiment_named, method_nam
 from analysis.selection import Options, Selection
 from analysis.tuning import tune_episode, tune_log
 from recorders.simulators.base import Parameter
-from tests.conftest import record
+from tests.conftest import record, tune_all
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import NotFoundError, UsageError

@@ -8,6 +8,7 @@ from scipy.integrate import solve_ivp
 
 from recorders.simulators.contact import CALIBRATED
 from recorders.simulators.drop import RESTITUTION, TOPIC, DropRig, DropSimulator
+from recorders.simulators.engines import engine
 from tests.strangers import bounce_heights
 from tunenet_logs.errors import UsageError
 
@@ -154,3 +155,12 @@ def test_samples_are_taken_when_they_are_asked_for():
 def test_values_that_no_ball_has_are_refused(values: dict[str, float]):
     with pytest.raises(UsageError):
         DropSimulator(DropRig()).rollout(values)
+
+
+def test_a_world_that_others_have_used_gives_the_bits_of_a_fresh_one():
+    rig = DropRig(gap_m=0.7, rate_hz=120.0, samples=300, hold_s=0.1)
+    values = {"restitution": 0.7, "restitution_slope": 0.05, "drag": 0.1}
+    fresh = DropSimulator(rig, CALIBRATED, engine().ball_world(rig.radius_m, CALIBRATED))
+    DropSimulator(DropRig(gap_m=1.9)).rollout({"restitution": 0.2})
+    again = DropSimulator(rig).rollout(values)
+    assert np.array_equal(again.signals[TOPIC].values, fresh.rollout(values).signals[TOPIC].values)

@@ -146,6 +146,22 @@ def decoder_for(channel: RawChannel) -> Decode:
     return DECODERS[channel.encoding](channel)
 
 
+def is_known(path: Path) -> bool:
+    """Whether a file begins as one of messages, an export or a table does; a video is not told.
+
+    Raises:
+        LogError, OSError: it cannot be read.
+    """
+    with open_regular(path) as file:
+        first = file.read(_START_BYTES)
+    if message_file(first):
+        return True
+    if compression := compression_of(first):
+        return message_file(unpacked_start(path, compression, _START_BYTES)) is not None
+    start = start_of(path)
+    return any(is_this(start) for is_this, _ in _EXPORTS) or is_table(path)
+
+
 def _read_foreign(path: Path, options: ReadOptions) -> Episode:
     """A file of no messages: an export, a table, a video, or nothing that is read here."""
     try:

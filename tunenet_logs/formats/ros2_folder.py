@@ -77,6 +77,33 @@ def read_folder(
     losses[begin:] = _without_repeats(losses[begin:])
 
 
+def is_bag_folder(path: Path) -> bool:
+    """Whether a folder is one recording's, and not one that several recordings lie in.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    if (path / _INDEX).is_file():
+        return True
+    try:
+        files = _files(path)
+    except LogError:
+        return False
+    others = [one for one in path.iterdir() if not one.name.startswith(".")]
+    if len(files) == 1:
+        return len(others) == 1 and _numbered(files[0]) is not None
+    return not all(map(_is_ours, files[:2]))
+
+
+def _is_ours(file: Path) -> bool:
+    """Whether a file is a whole recording of `tunenet-record`."""
+    try:
+        records = _records(file, [], (), Budget(file.stat().st_size))
+        return any(isinstance(one, RawMetadata) and one.name == INFO_RECORD for one in records)
+    except (LogError, OSError):
+        return False
+
+
 def _records(
     file: Path, losses: list[Loss], topics: Sequence[str] | None, budget: Budget
 ) -> Iterator[Record]:

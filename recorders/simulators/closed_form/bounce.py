@@ -60,24 +60,35 @@ class Bounce:
             rest.
         """
         starts, speeds = self.flights(float(places.max(initial=0.0)))
-        flight = np.maximum(np.searchsorted(starts, places, side="right") - 1, 0)
-        after = np.maximum(places - starts[flight], 0.0)
-        speed = speeds[flight]
+        falls = places < 0.0
+        flies = ~falls
+        flown = places[flies]
+        flight = np.searchsorted(starts, flown, side="right") - 1
+        after = flown - starts[flight]
+        heights = np.empty_like(places)
         if self.drag < _NO_DRAG:
-            since = places + 1.0
-            fall = 1.0 - (since if self.flies_in else np.maximum(since, 0.0)) ** 2
-            return np.where(places < 0.0, fall, np.maximum(after * (speed - after), 0.0))
+            since = places[falls] + 1.0
+            heights[falls] = 1.0 - (since if self.flies_in else np.maximum(since, 0.0)) ** 2
+            heights[flies] = np.maximum(after * (speeds[flight] - after), 0.0)
+            return heights
         rate, lasts = np.sqrt(2.0 * self.drag), self.fall_time
-        since = np.clip(places + lasts, 0.0, lasts)
-        fall = 1.0 - np.log(np.cosh(rate * since)) / self.drag
+        since = places[falls] + lasts
+        fall = 1.0 - np.log(np.cosh(rate * np.clip(since, 0.0, lasts))) / self.drag
         if self.flies_in:
-            to_top = np.clip(-rate * (places + lasts), 0.0, _STEEPEST)
+            to_top = np.clip(-rate * since, 0.0, _STEEPEST)
             fall = fall + np.log(np.cos(to_top)) / self.drag
-        angle = np.arctan(speed * np.sqrt(self.drag / 2.0))
-        to_apex = angle - rate * after
-        up = np.log(np.cos(np.maximum(to_apex, 0.0)) / np.cos(angle)) / self.drag
-        down = np.log(np.cosh(np.clip(-to_apex, 0.0, 20.0))) / self.drag
-        return np.where(places < 0.0, fall, np.maximum(up - down, 0.0))
+        heights[falls] = fall
+        angles = np.arctan(speeds * np.sqrt(self.drag / 2.0))
+        tops = np.log(1.0 / np.cos(angles)) / self.drag
+        to_apex = angles[flight] - rate * after
+        rises = to_apex > 0.0
+        sinks = ~rises
+        up = np.log(np.cos(to_apex[rises]) / np.cos(angles)[flight[rises]]) / self.drag
+        down = np.log(np.cosh(np.minimum(-to_apex[sinks], 20.0))) / self.drag
+        over = np.empty_like(flown)
+        over[rises], over[sinks] = up, tops[flight[sinks]] - down
+        heights[flies] = np.maximum(over, 0.0)
+        return heights
 
     def flights(self, last: float) -> tuple[Array, Array]:
         """The flights that start up to a time.
@@ -91,12 +102,22 @@ class Bounce:
         """
         first, each, given = self.impact_speed, self.each, len(self.each)
         usual, power, has_drag = self.restitution, -self.slope, self.drag >= _NO_DRAG
+        per_speed, twice_rate = math.sqrt(self.drag / 2.0), math.sqrt(2.0 * self.drag)
+        slowest = self.constant_below
         start, speed = 0.0, (each[0] if each else min(usual, 1.0)) * first
         starts, speeds, count = [start], [speed], 1
         while start <= last and count < _MOST_FLIGHTS and speed > _SLOWEST:
-            lasted, impact = self.flight(speed) if has_drag else (speed, speed)
-            ratio = max(impact / first, self.constant_below)
-            kept = each[count] if count < given else min(usual * ratio**power, 1.0)
+            lasted = impact = speed
+            if has_drag:  # as in `flight`
+                reach = speed * per_speed
+                lasted = (math.atan(reach) + math.asinh(reach)) / twice_rate
+                impact = speed / math.hypot(1.0, reach)
+            if count < given:
+                kept = each[count]
+            else:
+                ratio = impact / first
+                kept = usual * (ratio if ratio > slowest else slowest) ** power
+                kept = kept if kept < 1.0 else 1.0
             start += lasted
             speed = kept * impact
             starts.append(start)

@@ -8,6 +8,10 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
+from tunenet_logs.arrays import Array
+
 _NO_DRAG = 1e-9
 """Drag [1/m] below which a flight is a parabola: over 100 m the air changes it by 1e-7."""
 
@@ -30,6 +34,46 @@ def flown(
         height_m += math.log(math.hypot(1.0, speed_m_s / terminal)) / drag_1_m
         seconds, speed_m_s = seconds - rises_s, 0.0
     return _fallen(height_m, speed_m_s, seconds, rate, terminal, drag_1_m)
+
+
+def flown_heights_m(
+    height_m: float, speed_m_s: float, seconds: Array, gravity_m_s2: float, drag_1_m: float
+) -> Array:
+    """Heights [m] after times of free flight; see `flown`.
+
+    Args:
+        height_m: at the start [m].
+        speed_m_s: upward speed at the start.
+        seconds: since the start, increasing, shape (T,).
+        gravity_m_s2: downward acceleration.
+        drag_1_m: of the air.
+
+    Returns:
+        Shape (T,).
+    """
+    if drag_1_m < _NO_DRAG:
+        return height_m + (speed_m_s - gravity_m_s2 / 2 * seconds) * seconds
+    rate, terminal = _scales(gravity_m_s2, drag_1_m)
+    heights_m = np.empty(len(seconds))
+    rising, rises_s, top_m = 0, 0.0, height_m
+    if speed_m_s > 0:
+        angle = math.atan(speed_m_s / terminal)
+        rises_s, speed = angle / rate, 0.0
+        rising = int(np.searchsorted(seconds, rises_s))
+        left = np.cos(angle - rate * seconds[:rising])
+        heights_m[:rising] = height_m + np.log(left / math.cos(angle)) / drag_1_m
+        top_m += math.log(math.hypot(1.0, speed_m_s / terminal)) / drag_1_m
+    else:
+        speed = -speed_m_s
+    since = math.atanh(min(speed / terminal, _FASTEST))
+    until = since + rate * (seconds[rising:] - rises_s)
+    log_cosh = np.where(
+        until < 1,
+        np.log1p(2 * np.sinh(np.minimum(until, 1.0) / 2) ** 2),
+        until + np.log1p(np.exp(-2 * until)) - math.log(2),
+    )
+    heights_m[rising:] = top_m - (log_cosh - _log_cosh(since)) / drag_1_m
+    return heights_m
 
 
 def lands_after_s(height_m: float, speed_m_s: float, gravity_m_s2: float, drag_1_m: float) -> float:

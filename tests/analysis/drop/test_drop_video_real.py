@@ -12,7 +12,7 @@ import av
 import numpy as np
 import pytest
 
-from analysis import batch
+from analysis.batch import one_log
 from analysis.record import Tuning
 from analysis.tuning import tune_log
 from tests.analysis.films import short_film
@@ -40,7 +40,7 @@ def phone(command: Command, tmp_path_factory: pytest.TempPathFactory) -> Phone:
         return tunings[-1]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(batch, "tune_log", kept)
+        patch.setattr(one_log, "tune_log", kept)
         done = command("tunenet-tune", clip, "-o", folder)
     (tuning,) = tunings
     return Phone(done, folder, tuning)

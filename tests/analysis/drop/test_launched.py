@@ -8,13 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.batch import tune_all
 from analysis.record import record_of
 from analysis.selection import Options, Selection
 from analysis.tuning import tune_episode
 from benchmarks.throws import throw
 from recorders.simulators.drop import DropRig, DropSimulator
-from tests.conftest import real
+from tests.conftest import real, tune_all
 from tunenet_logs.formats.read_options import ReadOptions
 from tunenet_logs.terminal import Progress
 

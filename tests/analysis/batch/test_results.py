@@ -9,9 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from analysis.batch import tune_all
+from analysis.batch.found_logs import FoundLog
+from analysis.batch.result_names import result_names
 from analysis.selection import Options
-from tests.conftest import record
+from tests.conftest import record, tune_all
 from tunenet_logs.errors import LogError, UsageError, WeightsError
 from tunenet_logs.terminal import Progress
 
@@ -116,13 +117,10 @@ def test_logs_of_one_stem_get_their_folders_names(tmp_path: Path):
     assert names == ["left_drop.json", "right_drop.json"]
 
 
-def test_two_logs_with_the_same_results_are_named(tmp_path: Path):
-    logs = [tmp_path / name for name in ("a.mcap", "b.mcap", "b.mp4")]
-    for log in logs:
-        log.touch()
-    with pytest.raises(UsageError, match=r"b\.mcap and .*b\.mp4 would both write .*b\.json"):
-        tune_all(logs, Options(), tmp_path / "out", 1, QUIET)
-    assert not (tmp_path / "out").exists()
+def test_a_log_and_a_film_of_one_name_keep_their_suffixes(tmp_path: Path):
+    logs = [FoundLog(tmp_path / name) for name in ("a.mcap", "b.mcap", "b.mp4")]
+    names = result_names(logs, tmp_path / "out")
+    assert [name.name for name in names] == ["a", "b.mcap", "b.mp4"]
 
 
 def test_the_same_log_twice_is_tuned_once(tmp_path: Path):

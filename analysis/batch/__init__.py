@@ -1,0 +1,1 @@
+"""Many logs: found, tuned several at a time, and entered in a ledger as they end."""

@@ -1,0 +1,142 @@
+"""From what a user names, the logs that are meant: files, folders that are walked, patterns."""
+
+from __future__ import annotations
+
+import glob
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from tunenet_logs.errors import UsageError
+from tunenet_logs.formats.log_names import is_log_folder, may_be_log
+from tunenet_logs.regular_file import real_path
+
+MOST_LOGS = 1_000_000
+"""In one batch, and entries of folders that are looked at for each of them."""
+
+_DEEPEST = 64
+"""Folders within folders."""
+
+
+@dataclass(frozen=True)
+class FoundLog:
+    """A log.
+
+    Attributes:
+        log: its path, or the address of one that is read over the network.
+        below: the folder below that of the results in which its own go.
+    """
+
+    log: Path | str
+    below: Path = Path()
+
+
+@dataclass(frozen=True)
+class FoundLogs:
+    """What was found.
+
+    Attributes:
+        logs: each once, those of a folder in the order of their names.
+        left_out: files of folders that are no logs by their names and beginnings.
+        are_many: whether a folder or a pattern was named, or several logs.
+    """
+
+    logs: tuple[FoundLog, ...]
+    left_out: int
+    are_many: bool
+
+
+def is_remote(log: Path | str) -> bool:
+    """Whether a log is read over the network."""
+    return "://" in str(log)
+
+
+def find_logs(named: Sequence[Path | str]) -> FoundLogs:
+    """The logs meant by paths, folders, patterns (`'logs/**/*.mcap'`) and addresses (`s3://...`).
+
+    A folder that is one log, such as a bag's, is that log. One without any log is named as a log,
+    so that reading says why it is none. No link to a folder is followed.
+
+    Raises:
+        UsageError: a pattern fits nothing, there are too many, or an address cannot be asked.
+    """
+    found: dict[Path | str, FoundLog] = {}
+    left_out, are_many = 0, len(named) > 1
+    places = list(_places(named))
+    are_many = are_many or len(places) > 1
+    folders = sum(isinstance(place, Path) and _is_folder(place) for place in places)
+    for place in places:
+        if not isinstance(place, Path):
+            found[place] = FoundLog(place)
+            continue
+        inside = _Walk(place) if _is_folder(place) and not is_log_folder(place) else None
+        if inside is None or not inside.logs:
+            found.setdefault(real_path(place), FoundLog(place))
+            continue
+        are_many, left_out = True, left_out + inside.left_out
+        root = Path(real_path(place).name) if folders > 1 else Path()
+        for log in inside.logs:
+            below = root / log.parent.relative_to(place)
+            found.setdefault(real_path(log), FoundLog(log, below))
+        if len(found) > MOST_LOGS:
+            raise UsageError(f"{place}: over {MOST_LOGS} logs; tune some of its folders at a time")
+    return FoundLogs(tuple(found.values()), left_out, are_many)
+
+
+def _places(named: Iterable[Path | str]) -> Iterator[Path | str]:
+    """Paths and addresses of single logs, with patterns filled in."""
+    for one in named:
+        if is_remote(one):
+            from analysis.batch.remote_logs import remote_logs
+
+            yield from remote_logs(str(one), MOST_LOGS)
+            continue
+        path = Path(one)
+        if os.path.lexists(path) or not glob.has_magic(str(path)):
+            yield path
+            continue
+        matches = sorted(glob.glob(str(path), recursive=True))  # noqa: PTH207 (absolute ones too)
+        if not matches:
+            raise UsageError(f"{path}: no file has such a name")
+        yield from map(Path, matches)
+
+
+class _Walk:
+    """The logs in a folder and those below it; `logs` in the order of their names."""
+
+    def __init__(self, folder: Path) -> None:
+        self.logs: list[Path] = []
+        self.left_out = 0
+        self._seen = 0
+        self._look(folder, 0)
+
+    def _look(self, folder: Path, depth: int) -> None:
+        try:
+            with os.scandir(folder) as entries:
+                inside = sorted(entries, key=lambda entry: entry.name)
+        except OSError as error:
+            raise UsageError(f"{folder}: cannot be read ({error.strerror})") from error
+        self._seen += len(inside)
+        if self._seen > MOST_LOGS:
+            raise UsageError(f"{folder}: over {MOST_LOGS} files; tune some folders at a time")
+        for entry in inside:
+            path = folder / entry.name
+            if entry.name.startswith("."):
+                continue
+            if entry.is_dir(follow_symlinks=False):
+                if is_log_folder(path):
+                    self.logs.append(path)
+                elif depth < _DEEPEST:
+                    self._look(path, depth + 1)
+            elif may_be_log(path):
+                self.logs.append(path)
+            else:
+                self.left_out += 1
+
+
+def _is_folder(path: Path) -> bool:
+    try:
+        return path.is_dir()
+    except (OSError, ValueError):
+        return False

@@ -1,0 +1,115 @@
+"""One log's line in the ledger: flat, so that every column is a number or a text."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from analysis.record import Estimate, Record
+from tunenet_logs.formats.registry import file_bytes
+from tunenet_logs.regular_file import real_path
+
+Cell = str | int | float | bool | None
+
+LedgerRow = Mapping[str, Cell]
+"""Cells by the names of their columns; those without a value may be left out."""
+
+_AXES = "xyz"
+
+
+@dataclass(frozen=True)
+class LogState:
+    """What tells cheaply whether a log changed.
+
+    Attributes:
+        size: of all of its files [bytes]; -1 where that is not known.
+        modified_ns: the last change of any of them, on the clock of the file system.
+    """
+
+    size: int = -1
+    modified_ns: int = 0
+
+    @classmethod
+    def of(cls, log: Path) -> LogState:
+        """That of a log on this machine."""
+        try:
+            files = [log, *(log.iterdir() if log.is_dir() else ())]
+            return cls(file_bytes(log), max(one.stat().st_mtime_ns for one in files))
+        except (OSError, ValueError):
+            return cls()
+
+
+def ledger_key(log: Path | str) -> str:
+    """What the ledger knows a log by: its absolute path, or its address."""
+    text = log if isinstance(log, str) else str(real_path(log))
+    return os.fsencode(text).decode(errors="replace")
+
+
+def ledger_row(
+    log: Path | str, name: Path, record: Record, state: LogState, error: str | None
+) -> dict[str, Cell]:
+    """The line of one log.
+
+    Args:
+        log: where it is.
+        name: where its results go, without the suffix.
+        record: what came of it, with its provenance.
+        state: of the log when it was read.
+        error: why it is not done; None where it is, be it rejected.
+    """
+    provenance, fit = record.provenance, record.motion.fit
+    row: dict[str, Cell] = {
+        "log": ledger_key(log),
+        "verdict": record.verdict,
+        "reason": record.reason,
+        "error": error,
+        "task": record.task,
+        "method": record.method,
+        "ball": record.ball,
+        "topic": record.topic,
+        "rollouts": record.rollouts,
+        "seconds": record.seconds.get("total"),
+        "sha256": None if provenance is None else provenance.log_sha256,
+        "bytes": state.size,
+        "modified_ns": state.modified_ns,
+        "results": ledger_key(name),
+        "tuned": None if provenance is None else provenance.date,
+        "version": None if provenance is None else provenance.version,
+        "engine": None if provenance is None else provenance.engine,
+    }
+    for estimate in record.estimates:
+        row.update(_cells(estimate))
+    if fit is not None and record.estimates:
+        row |= {
+            "fit_rms_percent": fit.rms_percent,
+            "fit_worst_percent": fit.worst_percent,
+            "fit_noise_percent": fit.noise_percent,
+            "fit_excess_percent": fit.excess_percent,
+            "fit_held_out_percent": fit.held_out_percent,
+        }
+    return row
+
+
+def _cells(estimate: Estimate) -> dict[str, Cell]:
+    """A value, and the ends of its interval as `_low` and `_high`; a vector's by its axes."""
+    name = estimate.name
+    if estimate.unit != "1":
+        name += "_" + re.sub(r"[^A-Za-z0-9]+", "_", estimate.unit).strip("_")
+    values = np.atleast_1d(estimate.value)
+    ends = np.full((len(values), 2), np.nan)
+    if estimate.interval95 is not None:
+        ends = np.reshape(estimate.interval95, (-1, 2))
+    cells: dict[str, Cell] = {}
+    for at, (value, (low, high)) in enumerate(zip(values, ends, strict=True)):
+        one = name
+        if len(values) > 1:
+            one += f"_{_AXES[at] if len(values) <= len(_AXES) else at + 1}"
+        cells[one] = float(value)
+        if estimate.interval95 is not None:
+            cells |= {f"{one}_low": float(low), f"{one}_high": float(high)}
+    return cells

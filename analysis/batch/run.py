@@ -1,0 +1,218 @@
+"""A batch from its logs to its ledger: what is done is skipped, the rest is tuned as it comes."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+from analysis.batch.found_logs import FoundLog
+from analysis.batch.ledger import Journal, Ledger, journal, ledger_file
+from analysis.batch.ledger_row import LogState, ledger_key
+from analysis.batch.one_log import Result, Work, Writing, lost, tuned_and_written
+from analysis.batch.options_digest import options_digest
+from analysis.batch.result_names import result_files, result_names
+from analysis.processes import streamed
+from analysis.result_files import log_sha256
+from analysis.selection import Options
+from tunenet_logs.terminal import Progress
+
+MOST_SHOWN = 40
+"""Logs of a batch whose results are kept to be shown one by one."""
+
+_TELL_EVERY_S = 60.0
+"""Where no bar is shown, a line tells how far a batch is."""
+
+_NUMBER = re.compile(r"[-+]?[0-9][0-9.,]*(e[-+]?[0-9]+)?")
+
+Streamed = Callable[
+    [Callable[[Work], Result], Sequence[Work], Callable[[Work], Result]],
+    Iterable[tuple[int, Result]],
+]
+"""Does work on every item somewhere, and gives the results as they come; see `streamed`."""
+
+
+@dataclass(frozen=True)
+class Order:
+    """What is to be done with the logs.
+
+    Attributes:
+        folder: where results go; None for beside each log.
+        keeps_ledger: whether a ledger is kept there.
+        resumes: whether logs are left out that the ledger has, with the same contents, tuned under
+            the same options.
+    """
+
+    logs: Sequence[FoundLog]
+    options: Options = field(default_factory=Options)
+    writing: Writing = field(default_factory=Writing)
+    folder: Path | None = None
+    keeps_ledger: bool = False
+    resumes: bool = False
+
+
+@dataclass
+class BatchResult:
+    """What came of a batch.
+
+    Attributes:
+        results: of the first logs, at most `MOST_SHOWN`, and of more that are not ok as the first.
+        verdicts: how many logs have each, those that were done before too.
+        reasons: how many logs are not ok for which reason, whatever the numbers in it.
+        skipped: logs that were done before.
+        failed: logs that are rejected, or whose results could not be written.
+        seconds: wall time.
+        ledger: None where none is kept.
+    """
+
+    results: list[Result]
+    verdicts: Counter[str]
+    reasons: Counter[str] = field(default_factory=Counter)
+    skipped: int = 0
+    failed: int = 0
+    seconds: float = 0.0
+    ledger: Path | None = None
+
+
+def run_batch(
+    order: Order,
+    progress: Progress,
+    stream: Streamed | None = None,
+    jobs: int | None = None,
+    after: Callable[[Ledger], None] | None = None,
+) -> BatchResult:
+    """Tune every log, write its results, and enter it in the ledger.
+
+    Args:
+        order: what is to be done.
+        progress: shows how many are done.
+        stream: where the work is done; None for processes of this machine.
+        jobs: how many processes then; None for all cores.
+        after: is given the whole ledger at the end.
+
+    Raises:
+        UsageError: the options fit no log at all, or two logs would write the same results.
+        LogError: the ledger cannot be written.
+    """
+    began_s = time.monotonic()
+    names = result_names(order.logs, order.folder)
+    works = [Work(one.log, name) for one, name in zip(order.logs, names, strict=True)]
+    work = partial(tuned_and_written, options=order.options, writing=order.writing)
+    gone = partial(lost, options=order.options)
+    batch = BatchResult([], Counter())
+    shown: dict[int, Result] = {}
+    with ExitStack() as stack:
+        kept: Journal | None = None
+        digest = ""
+        if order.keeps_ledger and order.folder is not None:
+            kept = stack.enter_context(journal(order.folder))
+            digest = options_digest(order.options)
+            batch.ledger = ledger_file(order.folder)
+        if kept is not None and order.resumes:
+            works = list(_to_do(works, kept, digest, batch))
+        results = (
+            stream(work, works, gone)
+            if stream is not None
+            else streamed(work, works, jobs, may_stay=True, lost=gone)
+        )
+        told = _Told(progress, len(works), began_s)
+        with progress.bar(len(works), "tuning", "log") as bar:
+            for at, result in results:
+                if kept is not None:
+                    kept.append({**result.entry, "options": digest})
+                verdict = result.row.record.verdict
+                batch.verdicts[verdict] += 1
+                batch.reasons.update(_kinds(result.row.record.reason))
+                batch.failed += verdict == "rejected" or result.trouble is not None
+                if len(works) <= MOST_SHOWN or (
+                    len(shown) < MOST_SHOWN and (verdict == "rejected" or result.trouble)
+                ):
+                    shown[at] = result
+                if len(works) > 1:
+                    bar.set_postfix_str(_counted(batch.verdicts), refresh=False)
+                bar.update(1)
+                told.update(batch)
+        if kept is not None and after is not None:
+            after(kept.ledger)
+    batch.results = [shown[at] for at in sorted(shown)]
+    batch.seconds = time.monotonic() - began_s
+    return batch
+
+
+def _to_do(works: Iterable[Work], kept: Journal, digest: str, batch: BatchResult) -> Iterator[Work]:
+    """Those that are not in the ledger as they are; the others are counted."""
+    for work in works:
+        row = kept.ledger.row(ledger_key(work.log))
+        if (
+            row is None
+            or row.get("error") is not None
+            or row.get("options") != digest
+            or row.get("results") != ledger_key(work.name)
+            or not _is_same(work, row.get("bytes"), row.get("modified_ns"), row.get("sha256"))
+        ):
+            yield work
+            continue
+        batch.skipped += 1
+        batch.verdicts[str(row["verdict"])] += 1
+        batch.reasons.update(_kinds(row.get("reason")))
+        batch.failed += row["verdict"] == "rejected"
+
+
+def _is_same(work: Work, size: object, modified_ns: object, sha256: object) -> bool:
+    """Whether a log is as it was, and its results are there."""
+    if not isinstance(work.log, Path):
+        from analysis.batch.remote_logs import remote_state
+
+        state = remote_state(work.log)
+        return state.size >= 0 and (state.size, state.modified_ns) == (size, modified_ns)
+    state = LogState.of(work.log)
+    if state.size < 0 or not sha256 or not result_files(work.name)[0].is_file():
+        return state.size < 0 and size == -1  # it could not be read, and cannot now
+    if state.size != size:
+        return False
+    if state.modified_ns == modified_ns:
+        return True
+    try:
+        return log_sha256(work.log) == sha256
+    except OSError:
+        return False
+
+
+def _kinds(reason: object) -> list[str]:
+    """What a reason says first, without its numbers; nothing of a log that is ok."""
+    if reason is None:
+        return []
+    return [_NUMBER.sub("…", re.split(r"; | \(", str(reason))[0])]
+
+
+class _Told:
+    """Says from time to time how far a batch is, where no bar does."""
+
+    def __init__(self, progress: Progress, total: int, began_s: float) -> None:
+        self._progress, self._total, self._began_s = progress, total, began_s
+        self._done = 0
+        self._next_s = began_s + _TELL_EVERY_S
+
+    def update(self, batch: BatchResult) -> None:
+        """One more log is done."""
+        self._done += 1
+        now_s = time.monotonic()
+        if now_s < self._next_s or self._progress.shows_bars:
+            return
+        self._next_s = now_s + _TELL_EVERY_S
+        rate = self._done / (now_s - self._began_s)
+        left_s = (self._total - self._done) / rate
+        self._progress.say(
+            f"tuning: {self._done} of {self._total} logs, {rate:.1f} a second, "
+            f"{left_s / 60:.0f} min left: {_counted(batch.verdicts)}"
+        )
+
+
+def _counted(verdicts: Counter[str]) -> str:
+    """How many logs have which verdict."""
+    return ", ".join(f"{verdicts[name]} {name}" for name in ("ok", "suspect", "rejected"))

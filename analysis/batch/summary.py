@@ -1,0 +1,93 @@
+"""A batch in words, for the terminal: its logs one by one where they are few, else by verdict."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from analysis.batch.ledger import Ledger, write_csv
+from analysis.batch.one_log import Result
+from analysis.batch.result_names import OF_BATCH, result_files
+from analysis.batch.run import MOST_SHOWN, BatchResult, Order
+from analysis.report import table
+from analysis.result_files import replacing
+from tunenet_logs.terminal import one_line, short_name
+
+_MOST_REASONS, _REASON_CHARACTERS = 5, 100
+"""Of logs that are not ok, the most frequent ones, cut."""
+
+
+def closing(order: Order, csv: Path | None, ledger: Ledger) -> None:
+    """What is made of a whole ledger: its overview, and a text table where one is wanted.
+
+    Raises:
+        OSError: one cannot be written.
+    """
+    if csv is not None:
+        write_csv(ledger, csv)
+    if order.folder is not None:
+        from analysis.review.overview import write_overview
+
+        with replacing(overview_file(order.folder)) as unfinished:
+            write_overview(ledger.columns, unfinished)
+
+
+def overview_file(folder: Path) -> Path:
+    """The recording that shows a whole ledger."""
+    return result_files(folder / OF_BATCH)[1]
+
+
+def print_results(results: Sequence[Result]) -> None:
+    """A table of the logs that could be read; why others could not, on standard error."""
+    rows = [result.row for result in results]
+    if any(row.is_read for row in rows):
+        print(table([row for row in rows if row.is_read]))
+    for result in results:
+        record = result.row.record
+        remarks = record.warnings if result.row.is_read else (record.reason, *record.warnings)
+        for remark in () if result.trouble and not result.row.is_read else remarks:
+            print(one_line(f"tunenet-tune: {result.row.log}: {remark}"), file=sys.stderr)
+        if result.trouble:
+            print(one_line(f"tunenet-tune: {result.trouble}"), file=sys.stderr)
+
+
+def summary(batch: BatchResult, count: int) -> str:
+    """What is said below the table of a batch of `count` logs."""
+    lines: list[str] = []
+    records = [result.row.record for result in batch.results]
+    engines = {record.simulator["engine"] for record in records if record.simulator}
+    if engines:
+        lines += ["", f"simulated by {', '.join(sorted(engines))}"]
+    if batch.ledger is not None:
+        lines += ["", *_of_verdicts(batch, count)]
+    reviews = [one_line(result.review) for result in batch.results if result.review]
+    if reviews and count <= MOST_SHOWN:
+        lines.append("review: " + "\n        ".join(f"rerun {review}" for review in reviews))
+    if batch.ledger is not None:
+        lines.append(f"ledger: {one_line(batch.ledger)}")
+        lines.append(f"        rerun {one_line(overview_file(batch.ledger.parent))}")
+    return "".join(f"{line}\n" for line in lines)
+
+
+def _of_verdicts(batch: BatchResult, count: int) -> list[str]:
+    done = count - batch.skipped
+    rate = f", {done / batch.seconds:.1f} a second" if done and batch.seconds > 0 else ""
+    before = f"; {batch.skipped} were done before" if batch.skipped else ""
+    lines = [f"{count} logs: {done} tuned in {_lasting(batch.seconds)}{rate}{before}"]
+    for name in ("ok", "suspect", "rejected"):
+        number = batch.verdicts[name]
+        if number:
+            lines.append(f"  {name:8}  {number:6}  {100 * number / count:5.1f} %")
+    lines += [
+        f"    {number} x {short_name(reason, _REASON_CHARACTERS)}"
+        for reason, number in batch.reasons.most_common(_MOST_REASONS)
+    ]
+    return lines
+
+
+def _lasting(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:.1f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 120 else f"{minutes // 60} h {minutes % 60} min"

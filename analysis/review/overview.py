@@ -1,0 +1,227 @@
+"""All logs of a ledger on one page: estimates with their intervals, what is unlike the rest, why.
+
+Each timeline is an order of the logs: as they were tuned, by an estimate, by its doubt. Choosing
+one sorts the table and the curves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import NDArray
+
+from tunenet_logs.arrays import Array
+from tunenet_logs.terminal import one_line
+
+Columns = Mapping[str, Sequence[Any]]
+
+_ORDER = "log"
+"""The timeline of the logs as they were tuned."""
+
+_COLOURS = {"ok": (80, 200, 120), "suspect": (240, 170, 50), "rejected": (230, 80, 80)}
+_OUTLIER, _END = (255, 60, 200), (130, 130, 150)
+
+_FAR = 5.0
+"""Robust standard deviations from the median: such an estimate is pointed at."""
+
+_FEWEST = 8
+"""Estimates that tell what is unlike them."""
+
+_MOST_SHOWN = 6
+"""Estimates with a view of their own."""
+
+_WIDE = 10
+"""Largest intervals by name, in the text."""
+
+
+def write_overview(columns: Columns, path: Path) -> None:
+    """Write a recording for Rerun.
+
+    Args:
+        columns: the ledger's, all of one length: "log", "verdict", "reason", and for each estimate
+            its value and the ends of its interval, `NAME_low` and `NAME_high`.
+        path: of the recording.
+    """
+    verdicts = np.array([str(one) for one in columns["verdict"]])
+    logs = [one_line(Path(str(one)).name) for one in columns["log"]]
+    names = _estimates(columns)[:_MOST_SHOWN]
+    values = {name: _numbers(columns[name]) for name in names}
+    orders = _orders(columns, values, len(logs))
+    outliers = {name: _unlike(values[name]) for name in names}
+    recording = rr.RecordingStream("tunenet-logs overview", recording_id="overview")
+    recording.save(path, default_blueprint=_blueprint(names, columns))
+    for name in names:
+        _draw(recording, name, columns, verdicts, outliers[name], orders)
+    if "fit_excess_percent" in columns:
+        excess = _numbers(columns["fit_excess_percent"])
+        known = np.isfinite(excess)
+        _points(recording, "fit/excess_percent", excess, known, _END, orders)
+    _table(recording, columns, names, logs, orders)
+    text = _words(logs, columns, verdicts, values, outliers)
+    document = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
+    recording.log("summary", document, static=True)
+    recording.flush()
+    recording.disconnect()
+
+
+def _estimates(columns: Columns) -> list[str]:
+    """Names of the estimates that have intervals, those of most logs first."""
+    names = [name for name in columns if f"{name}_low" in columns]
+    counts = {name: sum(one is not None for one in columns[name]) for name in names}
+    return sorted(names, key=lambda name: -counts[name])
+
+
+def _orders(columns: Columns, values: Mapping[str, Array], count: int) -> dict[str, NDArray[Any]]:
+    """Places of the logs by the name of the order."""
+    keys: dict[str, Array] = {}
+    for name, its in values.items():
+        keys[f"by_{name}"] = its
+        ends = _numbers(columns[f"{name}_high"]) - _numbers(columns[f"{name}_low"])
+        keys[f"by_{name}_interval"] = ends
+    if "fit_excess_percent" in columns:
+        keys["by_fit_excess"] = _numbers(columns["fit_excess_percent"])
+    orders: dict[str, NDArray[Any]] = {_ORDER: np.arange(count)}
+    for name, key in keys.items():
+        places = np.empty(count, np.int64)
+        places[np.argsort(key, kind="stable")] = np.arange(count)  # those without a value are last
+        orders[name] = places
+    return orders
+
+
+def _unlike(values: Array) -> NDArray[np.bool_]:
+    """Whether each value is far from most others."""
+    known = values[np.isfinite(values)]
+    if len(known) < _FEWEST:
+        return np.zeros(len(values), bool)
+    middle = np.median(known)
+    spread = 1.4826 * np.median(np.abs(known - middle))
+    with np.errstate(invalid="ignore"):
+        return np.abs(values - middle) > _FAR * max(float(spread), 1e-12)
+
+
+def _draw(
+    recording: rr.RecordingStream,
+    name: str,
+    columns: Columns,
+    verdicts: NDArray[Any],
+    outliers: NDArray[np.bool_],
+    orders: Mapping[str, NDArray[Any]],
+) -> None:
+    """One estimate of all logs: points by verdict, the ends of the intervals, what is unlike."""
+    values = _numbers(columns[name])
+    for end in ("low", "high"):
+        ends = _numbers(columns[f"{name}_{end}"])
+        _points(recording, f"{name}/{end}", ends, np.isfinite(ends), _END, orders, size=1.0)
+    for verdict, colour in _COLOURS.items():
+        there = np.isfinite(values) & (verdicts == verdict)
+        _points(recording, f"{name}/{verdict}", values, there, colour, orders)
+    _points(recording, f"{name}/unlike the others", values, outliers, _OUTLIER, orders, size=5.0)
+
+
+def _points(
+    recording: rr.RecordingStream,
+    entity: str,
+    values: Array,
+    there: NDArray[np.bool_],
+    colour: tuple[int, int, int],
+    orders: Mapping[str, NDArray[Any]],
+    size: float = 2.0,
+) -> None:
+    if not np.any(there):
+        return
+    style = rr.SeriesPoints(colors=colour, markers="circle", marker_sizes=size, names=entity)
+    recording.log(entity, style, static=True)
+    recording.send_columns(entity, _times(orders, there), rr.Scalars.columns(scalars=values[there]))
+
+
+def _times(orders: Mapping[str, NDArray[Any]], there: NDArray[np.bool_]) -> list[rr.TimeColumn]:
+    return [rr.TimeColumn(name, sequence=places[there]) for name, places in orders.items()]
+
+
+def _table(
+    recording: rr.RecordingStream,
+    columns: Columns,
+    names: Sequence[str],
+    logs: Sequence[str],
+    orders: Mapping[str, NDArray[Any]],
+) -> None:
+    """A row a log, in the order of the timeline that is chosen."""
+    every = np.ones(len(logs), bool)
+    cells: dict[str, Any] = {"log": list(logs)}
+    for name in ("verdict", "reason", "error"):
+        if name in columns:
+            cells[name] = ["" if one is None else one_line(one) for one in columns[name]]
+    for name in (*names, "fit_excess_percent", "seconds"):
+        if name in columns:
+            cells[name] = _numbers(columns[name])
+    for name in names:
+        for end in ("low", "high"):
+            cells[f"{name}_{end}"] = _numbers(columns[f"{name}_{end}"])
+    recording.send_columns("table", _times(orders, every), rr.AnyValues.columns(**cells))
+
+
+def _words(
+    logs: Sequence[str],
+    columns: Columns,
+    verdicts: NDArray[Any],
+    values: Mapping[str, Array],
+    outliers: Mapping[str, NDArray[np.bool_]],
+) -> str:
+    """The page's text: counts, what is unlike the others, where doubt is largest."""
+    counts = ", ".join(f"{_count(verdicts, one)} {one}" for one in _COLOURS)
+    lines = [f"# {len(logs)} logs", "", f"{counts}."]
+    for name, its in values.items():
+        known = its[np.isfinite(its)]
+        if not len(known):
+            continue
+        low, middle, high = np.percentile(known, (5, 50, 95))
+        lines += ["", f"## {name}", "", f"median {middle:.4g}; 90 % from {low:.4g} to {high:.4g}"]
+        which = np.flatnonzero(outliers[name])
+        if len(which):
+            shown = ", ".join(f"`{logs[at]}` {its[at]:.4g}" for at in which[:_WIDE])
+            more = f" and {len(which) - _WIDE} more" if len(which) > _WIDE else ""
+            lines += ["", f"unlike the others: {shown}{more}"]
+        widths = _numbers(columns[f"{name}_high"]) - _numbers(columns[f"{name}_low"])
+        widest = [at for at in np.argsort(-widths)[:_WIDE] if np.isfinite(widths[at])]
+        shown = ", ".join(f"`{logs[at]}` ± {widths[at] / 2:.2g}" for at in widest)
+        lines += ["", f"widest intervals: {shown}"] if shown else []
+    lines += ["", "Choose a timeline below to sort the logs by it."]
+    return "\n".join(lines)
+
+
+def _blueprint(names: Sequence[str], columns: Columns) -> rrb.Blueprint:
+    plots: list[Any] = [rrb.TimeSeriesView(origin=name, name=name) for name in names]
+    if "fit_excess_percent" in columns:
+        plots.append(rrb.TimeSeriesView(origin="fit", name="misfit beyond the noise [%]"))
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Vertical(
+                rrb.Tabs(*plots) if len(plots) > 1 else rrb.Vertical(*plots),
+                rrb.DataframeView(
+                    origin="table",
+                    name="table",
+                    query=rrb.archetypes.DataframeQuery(timeline=_ORDER),
+                ),
+            ),
+            rrb.TextDocumentView(origin="summary", name="summary"),
+            column_shares=[3, 1],
+        ),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=_ORDER),
+        collapse_panels=False,
+    )
+
+
+def _numbers(cells: Sequence[Any]) -> Array:
+    """Cells as numbers, NaN where there is none."""
+    return np.array([np.nan if one is None else float(one) for one in cells])
+
+
+def _count(verdicts: NDArray[Any], verdict: str) -> int:
+    return int(np.sum(verdicts == verdict))

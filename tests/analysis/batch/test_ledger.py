@@ -1,0 +1,261 @@
+"""The ledger of many logs: one row a log, whatever is killed and whenever."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from analysis.batch.ledger import journal, ledger_file
+from analysis.batch.one_log import Writing
+from tests import strangers
+from tests.conftest import BIN, Command
+from tunenet_logs.errors import LogError, UsageError
+
+_START_NS = 1_700_000_000_000_000_000
+
+
+def write_drop(path: Path, seed: int) -> Path:
+    """A small log of a ball that drops and bounces."""
+    rng = np.random.default_rng(seed)
+    seconds = np.arange(240) / 120.0 - 0.2
+    heights_m = strangers.bounce_heights(rng.uniform(0.5, 0.8), rng.uniform(0.6, 1.2), seconds)
+    positions_m = np.column_stack([np.zeros((len(seconds), 2)), heights_m])
+    positions_m += rng.normal(0.0, 0.001, positions_m.shape)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    stamps_ns = _START_NS + np.round(seconds * 1e9).astype(np.int64)
+    strangers.write_poses(path, stamps_ns, positions_m)
+    return path
+
+
+@pytest.fixture(scope="module")
+def made_drops(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Twelve logs in two folders, one of them damaged, and what is no log."""
+    folder = tmp_path_factory.mktemp("drops")
+    for seed in range(11):
+        write_drop(folder / f"day{seed % 2}" / f"drop{seed:02}.mcap", seed)
+    (folder / "day1" / "damaged.mcap").write_bytes(b"no log" * 50)
+    (folder / "notes.md").write_text("of that day")
+    (folder / "README.txt").write_text("Drops of 3 balls\nmade on day 1")
+    return folder
+
+
+def ledger_of(folder: Path) -> list[dict[str, Any]]:
+    return pd.read_parquet(ledger_file(folder)).replace({np.nan: None}).to_dict("records")  # pyright: ignore[reportArgumentType, reportCallIssue]
+
+
+def verdicts_of(rows: list[dict[str, Any]]) -> dict[str, int]:
+    return dict(Counter(row["verdict"] for row in rows))
+
+
+def test_a_folder_is_walked_and_every_log_has_a_row(
+    made_drops: Path, tmp_path: Path, command: Command
+):
+    out, csv = tmp_path / "out", tmp_path / "all.csv"
+    done = command("tunenet-tune", str(made_drops), "-o", str(out), "--csv", str(csv))
+    assert done.returncode == 1
+    rows = ledger_of(out)
+    assert len(rows) == len({row["log"] for row in rows}) == 12
+    assert verdicts_of(rows) == {"ok": 11, "rejected": 1}
+    (bad,) = (row for row in rows if row["verdict"] == "rejected")
+    assert bad["log"].endswith("damaged.mcap")
+    assert "is not an MCAP log" in bad["reason"]
+    for row in rows:
+        if row is bad:
+            continue
+        assert row["restitution_low"] < row["restitution"] < row["restitution_high"]
+        record = json.loads(Path(row["results"] + ".json").read_text())
+        assert record["parameters"]["restitution"]["value"] == row["restitution"]
+        assert record["provenance"]["log_sha256"] == row["sha256"]
+    assert (out / "day0" / "drop00.rrd").exists()
+    assert (out / "ledger.rrd").stat().st_size > 1000
+    assert len(pd.read_csv(csv)) == 12
+    assert "12 logs: 12 tuned" in done.stdout
+    assert not (out / "ledger.jsonl").exists()
+
+
+def test_what_is_done_and_unchanged_is_not_done_again(
+    made_drops: Path, tmp_path: Path, command: Command
+):
+    logs = tmp_path / "logs"
+    shutil.copytree(made_drops, logs)
+    out = tmp_path / "out"
+    words = ("tunenet-tune", str(logs), "-o", str(out), "--resume", "--no-review")
+    assert "12 logs: 12 tuned" in command(*words).stdout
+    assert not list(out.rglob("drop*.rrd"))
+    assert "12 logs: 0 tuned" in command(*words).stdout
+    (logs / "day0" / "drop00.mcap").touch()  # the same contents
+    write_drop(logs / "day1" / "drop01.mcap", 99)
+    write_drop(logs / "day1" / "new.mcap", 98)
+    (out / "day1" / "drop03.json").unlink()
+    words = (*words, "--overwrite")
+    assert "13 logs: 3 tuned" in command(*words).stdout
+    assert "13 logs: 13 tuned" in command(*words, "--method", "fit").stdout
+    assert len(ledger_of(out)) == 13
+
+
+def test_reviews_are_written_of_one_verdict_alone(
+    made_drops: Path, tmp_path: Path, command: Command
+):
+    out = tmp_path / "out"
+    logs = [str(made_drops / "day0" / f"drop0{number}.mcap") for number in (0, 2)]
+    command("tunenet-tune", *logs, "-o", str(out), "--review-only", "suspect")
+    assert {one.name for one in out.iterdir()} == {
+        "drop00.json",
+        "drop02.json",
+        "ledger.parquet",
+        "ledger.rrd",
+    }
+
+
+@pytest.mark.live
+@pytest.mark.parametrize("who", ["driver", "worker"])
+def test_no_log_is_lost_or_twice_whoever_is_killed(made_drops: Path, tmp_path: Path, who: str):
+    """The driver is begun again with --resume; a worker's death is the driver's to mend."""
+    out, rng = tmp_path / "out", random.Random(who)
+    words = [str(BIN / "tunenet-tune"), str(made_drops), "-o", str(out)]
+    words += ["--resume", "--no-review", "--jobs", "2", "--quiet"]
+    kills, code = 0, None
+    for _ in range(12):
+        with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as driver:
+            deadline = time.monotonic() + 60
+            before = len(_journal_lines(out))
+            wanted = before + rng.randrange(1, 3)
+            while driver.poll() is None and time.monotonic() < deadline:
+                if len(_journal_lines(out)) >= wanted and kills < 3:
+                    target = driver.pid if who == "driver" else _a_worker(driver.pid)
+                    if target:
+                        os.kill(target, signal.SIGKILL)
+                        kills += 1
+                        wanted += 3
+                time.sleep(0.005)
+            code = driver.wait(60)
+        if code in (0, 1):
+            break
+    assert code == 1  # for the damaged one
+    assert kills >= 1
+    rows = ledger_of(out)
+    every = sorted(str(one.resolve()) for one in made_drops.rglob("*.mcap"))
+    assert sorted(row["log"] for row in rows) == every
+    assert not any(row["error"] for row in rows)
+    assert verdicts_of(rows) == {"ok": 11, "rejected": 1}
+    assert not list(out.rglob("*.partial")) or who == "driver"
+
+
+def _journal_lines(out: Path) -> list[bytes]:
+    try:
+        return (out / "ledger.jsonl").read_bytes().splitlines()
+    except FileNotFoundError:
+        return []
+
+
+def _a_worker(driver: int) -> int | None:
+    """A child of the driver that tunes."""
+    children = Path(f"/proc/{driver}/task/{driver}/children").read_text().split()
+    workers = [
+        int(child)
+        for child in children
+        if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()
+    ]
+    return workers[0] if workers else None
+
+
+@pytest.mark.live
+def test_workers_end_with_a_driver_that_is_killed(made_drops: Path, tmp_path: Path):
+    out = tmp_path / "out"
+    words = [str(BIN / "tunenet-tune"), str(made_drops), "-o", str(out), "--jobs", "2", "--quiet"]
+    with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as driver:
+        deadline = time.monotonic() + 60
+        while not _journal_lines(out) and time.monotonic() < deadline:
+            time.sleep(0.01)
+        workers = Path(f"/proc/{driver.pid}/task/{driver.pid}/children").read_text().split()
+        driver.kill()
+    assert workers
+    deadline = time.monotonic() + 60
+    while any(_lives(int(one)) for one in workers):
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def _lives(process: int) -> bool:
+    try:
+        return Path(f"/proc/{process}/stat").read_text().split(")")[-1].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+def test_a_torn_line_is_taken_away_and_the_rest_is_kept(tmp_path: Path):
+    line = json.dumps({"log": "/a.mcap", "verdict": "ok", "restitution": 0.5})
+    (tmp_path / "ledger.jsonl").write_text(f'{line}\n{{"log": "/b.mc')
+    with journal(tmp_path) as kept:
+        assert len(kept.ledger) == 1
+        kept.append({"log": "/b.mcap", "verdict": "rejected"})
+    assert [row["log"] for row in ledger_of(tmp_path)] == ["/a.mcap", "/b.mcap"]
+    with journal(tmp_path) as kept:
+        kept.append({"log": "/a.mcap", "verdict": "suspect"})
+    assert [row["verdict"] for row in ledger_of(tmp_path)] == ["suspect", "rejected"]
+    assert not any(row["restitution"] for row in ledger_of(tmp_path))
+
+
+def test_a_ledger_is_written_by_one_process_at_a_time(tmp_path: Path):
+    with (
+        journal(tmp_path),
+        pytest.raises(UsageError, match="another tunenet-tune writes its ledger"),
+        journal(tmp_path),
+    ):
+        pass
+
+
+@pytest.mark.parametrize("data", [b"PAR1 no table", b""])
+def test_what_is_no_ledger_is_not_replaced(tmp_path: Path, data: bytes):
+    ledger_file(tmp_path).write_bytes(data)
+    with pytest.raises(LogError, match=r"ledger\.parquet"), journal(tmp_path):
+        pass
+    assert ledger_file(tmp_path).read_bytes() == data
+
+
+def test_options_of_the_ledger_need_its_folder(made_drops: Path, command: Command):
+    done = command("tunenet-tune", str(made_drops), "--resume")
+    assert done.returncode == 2
+    assert "give it" in done.stderr
+
+
+def test_everything_is_reviewed_unless_it_is_said_otherwise():
+    assert Writing().reviewed == {"ok", "suspect", "rejected"}
+
+
+def test_memory_does_not_grow_with_the_logs(tmp_path: Path):
+    """Of one process, between its 30th log and its 90th."""
+    for seed in range(6):
+        write_drop(tmp_path / "logs" / f"{seed}.mcap", seed)
+    code = f"""
+from pathlib import Path
+from analysis.batch.found_logs import find_logs
+from analysis.batch.run import Order, run_batch
+from analysis.batch.one_log import Writing
+from tunenet_logs.terminal import Progress
+found = find_logs([Path({str(tmp_path / "logs")!r})]).logs
+def resident():
+    return int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 1e6
+for turn in range(15):
+    writing = Writing(overwrite=True, reviewed=frozenset())
+    run_batch(Order(found, writing=writing, folder=Path({str(tmp_path)!r}) / "out",
+        keeps_ledger=True), Progress(quiet=True), jobs=1)
+    if turn == 4:
+        before = resident()
+print(resident() - before)
+"""
+    grown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert float(grown.stdout) < 60 * 0.3  # [MB] of 60 logs
