@@ -89,26 +89,37 @@ class Frame:
             names it ("rgb8", "mono8", "bayer_rggb8", ...); a decoded video's are "rgb8".
         data: the bytes; of bare pixels without padding between rows, and little-endian.
         size: (width, height) [px] of bare pixels; None where `data` says it itself.
+        pixels: of a decoded video, in place of `data`, which is empty: gives RGB, reduced by a
+            whole number; see `decode`.
     """
 
     stamp_ns: int
     encoding: str
     data: bytes
     size: tuple[int, int] | None = None
+    pixels: Callable[[int], NDArray[np.uint8]] | None = None
 
-    def decode(self) -> NDArray[np.uint8]:
+    def decode(self, scale: int = 1) -> NDArray[np.uint8]:
         """RGB picture, uint8, shape (H, W, 3).
+
+        Args:
+            scale: by which it is reduced: each pixel is the mean of so many across and down, and
+                what is left over at two edges is cut.
 
         Raises:
             LogError: damaged, of an unknown encoding, or larger than any camera's picture.
         """
+        if self.pixels is not None:
+            return self.pixels(scale)
+        from tunenet_logs.pixels import decode_pixels, mean_of_blocks
+
         if self.size is not None:
-            from tunenet_logs.pixels import decode_pixels
+            picture = decode_pixels(self.data, self.encoding, self.size)
+        else:
+            from tunenet_logs.images import decode_image
 
-            return decode_pixels(self.data, self.encoding, self.size)
-        from tunenet_logs.images import decode_image
-
-        return decode_image(self.data, self.encoding)
+            picture = decode_image(self.data, self.encoding)
+        return mean_of_blocks(picture, scale)
 
     def size_px(self) -> tuple[int, int]:
         """(width, height) of the picture, without decoding it.

@@ -186,7 +186,8 @@ def frame(picture: Frame) -> tuple[str, bytes]:
     if picture.size is None:
         made = compressed_image(picture.stamp_ns, "camera", picture.encoding, picture.data)
         return COMPRESSED_IMAGE, encode(made, COMPRESSED_IMAGE)
-    made = image(picture.stamp_ns, "camera", picture.encoding, picture.size, picture.data)
+    data = picture.data if picture.pixels is None else picture.decode().tobytes()
+    made = image(picture.stamp_ns, "camera", picture.encoding, picture.size, data)
     return IMAGE, encode(made, IMAGE)
 
 

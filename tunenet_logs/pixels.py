@@ -114,3 +114,20 @@ def decode_pixels(data: bytes, encoding: str, size: tuple[int, int]) -> NDArray[
 
     conversion = getattr(cv2, form.conversion)
     return np.asarray(cv2.cvtColor(samples.reshape(shape), conversion), np.uint8)
+
+
+def mean_of_blocks(picture: NDArray[np.uint8], scale: int) -> NDArray[np.uint8]:
+    """The mean of each `scale` by `scale` pixels; what is left over at two edges is cut.
+
+    Args:
+        picture: shape (H, W) or (H, W, 3).
+        scale: a whole number, at least 1.
+    """
+    if scale == 1:
+        return picture
+    import cv2
+
+    height, width = picture.shape[:2]
+    size = (width // scale, height // scale)
+    cut = picture[: size[1] * scale, : size[0] * scale]
+    return np.asarray(cv2.resize(cut, size, interpolation=cv2.INTER_AREA), np.uint8)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -20,7 +21,7 @@ from analysis.drop.rebounds import reported_rebounds
 from analysis.estimators.base import FitResult, Step
 from analysis.experiment import Claim
 from analysis.selection import Hints, Selection
-from analysis.tracking.pictures import Pictures
+from analysis.tracking.pictures import Pictures, one_thread
 from analysis.tracking.track import Track, track_ball
 from recorders.simulators.balls import completed, contradict, recorded_ball
 from tunenet_logs.arrays import Array
@@ -61,6 +62,12 @@ class DropFromFilm:
         """The ball in the pictures of the first camera that shows a drop."""
         topics = episode.picture_topics if selection.topic is None else (selection.topic,)
         physical = PRESETS[preset].physical
+        with one_thread():
+            return self._detect(episode, topics, selection, physical=physical)
+
+    def _detect(
+        self, episode: Episode, topics: Sequence[str], selection: Selection, *, physical: bool
+    ) -> FilmDetection:
         if len(topics) == 1:
             return _detect_whole(episode, topics[0], selection, physical=physical)
         reasons: list[str] = []

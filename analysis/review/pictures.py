@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import suppress
 
 import numpy as np
@@ -9,8 +10,9 @@ import rerun as rr
 
 from analysis.record import Tuning
 from analysis.review.drawing import GROUND, MUTED, at_seconds
+from analysis.tracking.kept_film import kept_film
 from analysis.tracking.pictures import readable_frames
-from tunenet_logs.episode import Frame
+from tunenet_logs.episode import Episode, Frame
 from tunenet_logs.errors import LogError
 
 _REDUCED_PX = 640
@@ -38,7 +40,7 @@ def log_recorded_film(stream: rr.RecordingStream, tuning: Tuning) -> bool:
     )
     every = max(1, -(-total // _MOST_RECORDED))
     frames: list[Frame] = []
-    for index, frame in enumerate(readable_frames(episode, episode.picture_topics[0])):
+    for index, frame in enumerate(frames_to_show(episode, episode.picture_topics[0])):
         if index % every == 0:
             with suppress(LogError):
                 frames.append(reduced(frame))
@@ -46,6 +48,14 @@ def log_recorded_film(stream: rr.RecordingStream, tuning: Tuning) -> bool:
         start_ns = frames[0].stamp_ns
         send_pictures(stream, frames, start_ns)
     return bool(frames)
+
+
+def frames_to_show(episode: Episode, topic: str) -> Iterator[Frame]:
+    """The frames of a topic as they were recorded; bare pixels reduced, where that was done."""
+    film = kept_film(episode, topic)
+    if film is not None and film.is_bare and not film.is_part and film.pictures:
+        return film.frames()
+    return readable_frames(episode, topic)
 
 
 def send_pictures(stream: rr.RecordingStream, frames: list[Frame], start_ns: int) -> None:

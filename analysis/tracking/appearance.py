@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from analysis.tracking.background import Background, FloatPicture
-from analysis.tracking.drawn_ball import NARROW, Patch, best_start, cut_patch, fit_ball
+from analysis.tracking.drawn_ball import NARROW, Patch, best_start, cut_patch, fit_ball, unlike
 from tunenet_logs.arrays import Array, Picture
 
 _FINE_PX = 9.0
@@ -85,6 +85,24 @@ class Placing:
 
 
 @dataclass(frozen=True, eq=False)
+class Start:
+    """Where a fit may begin.
+
+    Attributes:
+        x, y: near the ball's centre [px].
+        patch: what is seen around.
+        values: see `draw_ball`, shape (6,).
+        unlikeness: fraction of the patch that a ball there does not explain.
+    """
+
+    x: float
+    y: float
+    patch: Patch
+    values: Array
+    unlikeness: float
+
+
+@dataclass(frozen=True, eq=False)
 class Appearance:
     """The ball's own picture.
 
@@ -99,7 +117,7 @@ class Appearance:
     radius_px: float
     zoom: float
 
-    def place(
+    def start(
         self,
         picture: Picture,
         background: Background,
@@ -107,37 +125,58 @@ class Appearance:
         x: float,
         y: float,
         grown: float = 1.0,
-        known: Sequence[Placing] = (),
-    ) -> Placing | None:
-        """The ball near a position; None where there is none in view, or none that is not known.
+    ) -> Start | None:
+        """Where a fit may begin; None out of the picture.
 
         Args:
             picture: RGB, shape (H, W, 3).
-            background: behind it.
+            background: behind the ball.
             gain: how much brighter the background is than the picture.
             x: near its centre [px].
             y: likewise.
             grown: about its radius over `radius_px`.
-            known: found from other starts; what comes to one of them, or is far worse, is dropped.
         """
         patch = cut_patch(picture, background, gain, (x, y), self.radius_px * grown, self.zoom)
         if patch is None:
             return None
-        radius = self.radius_px * self.zoom
-        start = np.array([*patch.here(x, y), np.log(grown), 0.0, 0.0, 0.0])
-        values, misfit = fit_ball(self.layers, radius, patch, start, np.log(grown), NARROW)
+        values = np.array([*patch.here(x, y), math.log(grown), 0.0, 0.0, 0.0])
+        unlikeness = unlike(self.layers, self.radius_px * self.zoom, patch, values)
+        return Start(x, y, patch, values, unlikeness / patch.inside.size)
+
+    def place(self, begin: Start, known: Sequence[Placing] = ()) -> Placing | None:
+        """The ball near a start; None where there is none in view, or none that is not known.
+
+        Args:
+            begin: where the fit begins.
+            known: found from other starts; what comes to one of them, or is far worse, is dropped.
+        """
+        patch, start = begin.patch, begin.values
+        radius, growth = self.radius_px * self.zoom, float(start[2])
+        values, misfit = fit_ball(self.layers, radius, patch, start, growth, NARROW)
         if misfit > _SURE:
             here = patch.there(values[0], values[1])
             if any(misfit > _FAR_WORSE * fit.misfit or fit.is_near(*here) for fit in known):
                 return None
             start = best_start(self.layers, radius, patch, start)
-            values, misfit = fit_ball(self.layers, radius, patch, start, np.log(grown))
+            values, misfit = fit_ball(self.layers, radius, patch, start, growth)
         if np.hypot(*(values - start)[:2]) > _NEAR_START * radius:  # it was a long way
-            values, misfit = fit_ball(self.layers, radius, patch, values, np.log(grown))
-        px, py = patch.there(values[0], values[1])
-        if np.hypot(px - x, py - y) > _MOST_MOVED * self.radius_px * grown + _MOST_MOVED_PX:
+            values, misfit = fit_ball(self.layers, radius, patch, values, growth)
+        return self._placing(begin, values, misfit)
+
+    def place_again(self, begin: Start) -> Placing | None:
+        """The ball that was seen at a start in the picture before; None where it is gone."""
+        radius, growth = self.radius_px * self.zoom, float(begin.values[2])
+        fit = fit_ball(self.layers, radius, begin.patch, begin.values, growth)
+        return self._placing(begin, *fit)
+
+    def _placing(self, begin: Start, values: Array, misfit: float) -> Placing | None:
+        """Of values that were fitted; None where they are too far from the start."""
+        growth = float(begin.values[2])
+        px, py = begin.patch.there(values[0], values[1])
+        most_px = _MOST_MOVED * self.radius_px * math.exp(growth) + _MOST_MOVED_PX
+        if math.hypot(px - begin.x, py - begin.y) > most_px:
             return None
-        return Placing(px, py, self.radius_px * float(np.exp(values[2])), misfit)
+        return Placing(px, py, self.radius_px * math.exp(values[2]), misfit)
 
 
 def learn_appearance(
@@ -256,7 +295,7 @@ def _straightened(picture: FloatPicture, values: Array, side: int) -> FloatPictu
     """A patch with the ball in its middle and at its usual size.
 
     Args:
-        picture: `seen` or `behind` of a patch, shape (N, N, 3).
+        picture: `seen` or `behind` of a patch, shape (3, N, N).
         values: where the ball is, see `draw_ball`; shape (6,).
         side: pixels of the result, shape (side, side, 3).
     """
@@ -268,6 +307,10 @@ def _straightened(picture: FloatPicture, values: Array, side: int) -> FloatPictu
     turn = np.array([[grow, 0.0, x - grow * middle], [0.0, grow, y - grow * middle]])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     straight = cv2.warpAffine(
-        picture, turn, (side, side), flags=flags, borderMode=cv2.BORDER_REPLICATE
+        np.ascontiguousarray(picture.transpose(1, 2, 0)),
+        turn,
+        (side, side),
+        flags=flags,
+        borderMode=cv2.BORDER_REPLICATE,
     )
     return np.asarray(straight, np.float32)

@@ -7,37 +7,25 @@ squares in turn with a new choice of what lies near; the flight with the best sc
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.tracking.candidates import Candidates
+from analysis.tracking.triples import (
+    AREA_RATIO,
+    COLOUR_APART,
+    LEAST_BEND_PX,
+    Index,
+    accelerated_triples,
+    tolerance_px,
+)
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import NotFoundError
 
-Index = NDArray[np.intp]
-
 LEAST_FRAMES = 6
 """Pictures of a flight: three lie on a parabola by themselves, three more must agree."""
-
-_COLOUR_APART = 70.0
-"""Distance in RGB (0 to 255): blur and light change a flying ball's colour by less."""
-
-_AREA_RATIO = 2.2
-"""Of one candidate's area to the next one's: blur and a bad outline change it by less."""
-
-_STRIDES_S = (0.016, 0.033, 0.06)
-_STRIDES = (1, 2, 4, 7)
-"""Between the pictures of a triple, in seconds and in pictures: how fast a film plays need not be
-how fast it was filmed."""
-
-_LEAST_BEND_PX = 0.25
-_LEAST_TRAVEL_PX = 2.0
-"""Of a triple: noise bends less, and what stands travels less."""
-
-_LEAST_WITNESSES = 2
-"""Of four further pictures at the same stride: those on a triple's parabola, if it is a flight."""
 
 _MOST_SEEDS = 500
 _FINALISTS = 60
@@ -108,100 +96,58 @@ def longest_arc(table: Candidates, least_frames: int = LEAST_FRAMES) -> Arc | No
     """
     if not table.areas_px.size:
         return None
-    seeds, bends = _accelerated_triples(table)
+    seeds, bends = accelerated_triples(table)
     best, best_score = None, 0.0
     for down, factor in _DIRECTIONS:
         down_px = np.array(down)
         towards = bends @ down_px
         sideways = np.abs(bends @ np.array([down_px[1], -down_px[0]]))
-        falling = seeds[(towards > _LEAST_BEND_PX) & (towards > sideways)]
-        tried: dict[bytes, tuple[float, int]] = {}
-        for index, seed in enumerate(falling[:_MOST_SEEDS]):
-            arc = _grow(table, seed, 1)
-            if arc is not None and len(arc.frames) >= _LEAST_GROWN:
-                tried[arc.frames.tobytes() + arc.chosen.tobytes()] = (_score(table, arc), index)
-        for _, index in sorted(tried.values(), reverse=True)[:_FINALISTS]:
-            arc = _grow(table, falling[index], 4)
-            if arc and _is_flight(table, arc, down_px, least_frames):
+        falling = seeds[(towards > LEAST_BEND_PX) & (towards > sideways)]
+        for arc in _grown_arcs(table, falling[:_MOST_SEEDS]):
+            if _is_flight(table, arc, down_px, least_frames):
                 score = factor * _score(table, arc)
                 if score > best_score:
                     best, best_score = arc, score
     return best
 
 
-def _accelerated_triples(table: Candidates) -> tuple[Index, Array]:
-    """Triples of alike candidates on a parabola that others lie on, too, those with most first.
-
-    Returns:
-        Rows of 3 frames and 3 candidates, shape (S, 6); and how far each bends [px], shape (S, 2).
-    """
-    period = float(np.median(np.diff(table.seconds)))
-    strides = sorted({*_STRIDES, *(max(1, round(stride / period)) for stride in _STRIDES_S)})
-    seeds, bends, witnesses = [], [], []
-    for stride in strides:
-        firsts = range(len(table.seconds) - 2 * stride)
-        rows = [_alike(table, first + stride * np.arange(3)) for first in firsts]
-        triples = np.concatenate([np.empty((0, 6), np.intp), *rows])
-        early, middle, late = (table.seconds[triples[:, row]] for row in range(3))
-        a, b, c = (table.places_px[triples[:, row], triples[:, row + 3]] for row in range(3))
-        before = (b - a) / (middle - early)[:, None]
-        after = (c - b) / (late - middle)[:, None]
-        bend = (after - before) * (late - early)[:, None] / 2  # over the triple [px]
-        travel = np.linalg.norm(c - a, axis=1)
-        moving = (np.abs(bend).max(axis=1) > _LEAST_BEND_PX) & (travel > _LEAST_TRAVEL_PX)
-        triples, bend = triples[moving], bend[moving]
-        seen = sum(
-            (_witnessed(table, triples, step * stride) for step in (-2, -1, 3, 4)),
-            np.zeros(len(triples), int),
-        )
-        kept = seen >= _LEAST_WITNESSES
-        seeds.append(triples[kept])
-        bends.append(bend[kept])
-        witnesses.append(seen[kept])
-    order = np.argsort(-np.concatenate(witnesses), kind="stable")
-    return np.concatenate(seeds)[order], np.concatenate(bends)[order]
+def _grown_arcs(table: Candidates, seeds: Index) -> Iterator[Arc]:
+    """The arcs that triples grow to, those of the best scores after one round of growing."""
+    members = _Members(table)
+    tried: list[tuple[float, int]] = []
+    for index, seed in enumerate(seeds):
+        if members.has(seed):
+            continue  # it would grow to that arc, or nearly
+        arc = _grow(table, seed, 1)
+        if arc is not None and len(arc.frames) >= _LEAST_GROWN:
+            members.add(arc)
+            tried.append((_score(table, arc), index))
+    members = _Members(table)
+    for _, index in sorted(tried, reverse=True)[:_FINALISTS]:
+        if members.has(seeds[index]):
+            continue
+        arc = _grow(table, seeds[index], 4)
+        if arc is not None:
+            members.add(arc)
+            yield arc
 
 
-def _alike(table: Candidates, frames: Index) -> Index:
-    """Every candidate of three pictures with every one that looks like it, shape (K, 6)."""
-    areas, colours = table.areas_px[frames], table.colours[frames]
-    seen = [np.flatnonzero(np.isfinite(row)) for row in areas]
-    same = []
-    for at in (0, 1):
-        here, there = seen[at], seen[at + 1]
-        ratio = np.abs(np.log(areas[at][here][:, None] / areas[at + 1][there]))
-        apart = np.linalg.norm(colours[at][here][:, None] - colours[at + 1][there], axis=2)
-        same.append((ratio < np.log(_AREA_RATIO)) & (apart < _COLOUR_APART))
-    triples = np.nonzero(same[0][:, :, None] & same[1][None])
-    chosen = np.stack([row[picks] for row, picks in zip(seen, triples, strict=True)], axis=1)
-    return np.hstack([np.broadcast_to(frames, chosen.shape), chosen])
+class _Members:
+    """Which candidates are part of an arc, of the latest one each."""
 
+    def __init__(self, table: Candidates) -> None:
+        self._arc_of = np.full(table.areas_px.shape, -1)
+        self._arcs = 0
 
-def _witnessed(table: Candidates, triples: Index, step: int) -> Index:
-    """1 where one that looks alike lies on a triple's parabola `step` pictures after its first."""
-    frames = triples[:, 0] + step
-    there = np.clip(frames, 0, len(table.seconds) - 1)
-    times = [table.seconds[triples[:, row]] for row in range(3)]
-    positions = [table.places_px[triples[:, row], triples[:, row + 3]] for row in range(3)]
-    when = table.seconds[there]
-    expected = np.zeros((len(triples), 2))
-    for row in range(3):  # Lagrange's parabola
-        basis = np.ones(len(triples))
-        for other in {0, 1, 2} - {row}:
-            basis *= (when - times[other]) / (times[row] - times[other])
-        expected += basis[:, None] * positions[row]
-    area = table.areas_px[triples[:, 1], triples[:, 4]]
-    colour = table.colours[triples[:, 1], triples[:, 4]]
-    off = np.linalg.norm(table.places_px[there] - expected[:, None], axis=2)
-    near = off < 2 * np.asarray(_tolerance_px(area))[:, None]  # NaN is not
-    near &= np.linalg.norm(table.colours[there] - colour[:, None], axis=2) < _COLOUR_APART
-    near &= np.abs(np.log(table.areas_px[there] / area[:, None])) < np.log(2 * _AREA_RATIO)
-    return (near.any(axis=1) & (frames == there)).astype(np.intp)
+    def add(self, arc: Arc) -> None:
+        """An arc that was found."""
+        self._arc_of[arc.frames, arc.chosen] = self._arcs
+        self._arcs += 1
 
-
-def _tolerance_px(area_px: Array | float) -> Array | float:
-    """How far from a parabola a candidate of that size may be: a third of its radius, and noise."""
-    return 1.0 + 0.35 * np.sqrt(np.asarray(area_px) / np.pi)
+    def has(self, seed: Index) -> bool:
+        """Whether one arc has all of a triple."""
+        first, second, third = self._arc_of[seed[:3], seed[3:]].tolist()
+        return first == second == third >= 0
 
 
 def _grow(table: Candidates, seed: Index, rounds: int) -> Arc | None:
@@ -209,12 +155,12 @@ def _grow(table: Candidates, seed: Index, rounds: int) -> Arc | None:
     frames, chosen = seed[:3], seed[3:]
     area = float(np.median(table.areas_px[frames, chosen]))
     colour = np.median(table.colours[frames, chosen], axis=0)
-    tolerance = _tolerance_px(area)
+    tolerance = tolerance_px(area)
     curve = np.zeros((3, 2))
     for _ in range(rounds):
         middle = table.seconds[frames].mean()
         clock = table.seconds[frames] - middle
-        curve = np.polyfit(clock, table.places_px[frames, chosen], 2)
+        curve = _parabola(clock, table.places_px[frames, chosen])
         # A triple may be a short part of a flight; a longer arc about doubles in a round.
         reach = (1.2 if len(frames) > _LEAST_POINTS else 2.5) * float(np.ptp(clock))
         low, high = np.searchsorted(table.seconds, [middle - reach, middle + reach])
@@ -222,8 +168,8 @@ def _grow(table: Candidates, seed: Index, rounds: int) -> Arc | None:
         times = (table.seconds[window] - middle)[:, None]
         expected = curve[0] * times**2 + curve[1] * times + curve[2]
         off = np.linalg.norm(table.places_px[window] - expected[:, None], axis=2)
-        alike = np.linalg.norm(table.colours[window] - colour, axis=2) < _COLOUR_APART
-        alike &= np.abs(np.log(table.areas_px[window] / area)) < np.log(2 * _AREA_RATIO)
+        alike = np.linalg.norm(table.colours[window] - colour, axis=2) < COLOUR_APART
+        alike &= np.abs(np.log(table.areas_px[window] / area)) < np.log(2 * AREA_RATIO)
         off = np.where(alike & np.isfinite(off), off, np.inf)
         nearest = off.argmin(axis=1)
         hit = off[np.arange(len(window)), nearest] < tolerance
@@ -243,6 +189,22 @@ def _grow(table: Candidates, seed: Index, rounds: int) -> Arc | None:
     return Arc(frames, chosen, 2 * curve[0])
 
 
+def _parabola(clock: Array, positions: Array) -> Array:
+    """Least squares: factors of the square, of the time and 1, shape (3, 2).
+
+    NumPy's `polyfit` takes several times as long for a few points.
+
+    Args:
+        clock: times about 0, shape (N,) [s].
+        positions: shape (N, 2).
+    """
+    span = float(np.abs(clock).max())
+    when = clock / span
+    design = np.column_stack([when * when, when, np.ones(len(when))])
+    curve = np.linalg.solve(design.T @ design, design.T @ positions)
+    return curve / np.array([[span**2], [span], [1.0]])
+
+
 def _score(table: Candidates, arc: Arc) -> float:
     """How far it flies in its own sizes, by how many pictures say so.
 
@@ -254,7 +216,7 @@ def _score(table: Candidates, arc: Arc) -> float:
     travel = float(np.linalg.norm(np.ptp(positions, axis=0)))
     clock = table.seconds[arc.frames]
     sag = float(np.linalg.norm(arc.gravity_px)) * float(np.ptp(clock)) ** 2 / 8
-    curve = np.polyfit(clock - clock.mean(), positions, 2)
+    curve = _parabola(clock - clock.mean(), positions)
     when = (clock - clock.mean())[:, None]
     off = positions - (curve[0] * when**2 + curve[1] * when + curve[2])
     loose = np.sqrt((off**2).sum(axis=1).mean()) / (_LOOSE_PX + _LOOSE * np.sqrt(area / np.pi))

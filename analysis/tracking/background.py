@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,14 +24,20 @@ _NOISE_FACTOR = 5.0
 _SD_OF_MAD = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 
-_GRID_PX = 7
-"""Every seventh pixel each way says how bright a picture is, at a fiftieth of the time."""
+_LIT_PX = 1500
+"""About so many pixels, on a grid, say how bright a picture is to a fraction of a level."""
 
 _DARK, _BRIGHT = 20, 235
 """Of 255: outside, a pixel is clipped or mostly noise, and does not follow the light."""
 
 _LEAST_LIT = 100
 """Pixels between the two that make a median; with fewer, the light is taken for constant."""
+
+_BLOCK = (3, 3)
+"""Pixels that make one of a smooth picture."""
+
+_SAME_LIGHT = 0.5
+"""Of 255: light that changes the brightest pixel by less has not changed."""
 
 _STRIP_ROWS = 32
 """Of all samples at once: the whole stack would take much memory."""
@@ -57,25 +65,69 @@ class Background:
     later: Picture | None = None
 
     def difference(self, picture: Picture) -> Picture:
-        """Largest difference of the three smooth colours, shape (H, W), the light's changes undone.
+        """Largest difference of the three smooth colours, the light's changes undone.
 
         Args:
             picture: RGB, shape (H, W, 3).
+
+        Returns:
+            Shape (H, W); it is the same array, overwritten, for the next picture.
         """
         import cv2
 
-        same = np.asarray(cv2.convertScaleAbs(_smooth(picture), alpha=self.gain(picture)), np.uint8)
-        off = _largest_difference(same, self.smooth)
+        work = self._work
+        cv2.blur(picture, _BLOCK, dst=work.smooth)
+        gain = self.gain(picture)
+        if abs(gain - 1) * 255 > _SAME_LIGHT:
+            cv2.convertScaleAbs(work.smooth, dst=work.smooth, alpha=gain)
         if self.later is None:
-            return off
-        return np.asarray(cv2.min(off, _largest_difference(same, self.later)), np.uint8)
+            return work.largest_difference(self.smooth)
+        first = work.largest_difference(self.smooth).copy()
+        return np.asarray(cv2.min(first, work.largest_difference(self.later)), np.uint8)
+
+    @cached_property
+    def _work(self) -> _Work:
+        return _Work.of(self.smooth)
 
     def gain(self, picture: Picture) -> float:
         """How much brighter the still picture is, by most of its pixels."""
-        mine = self.picture[::_GRID_PX, ::_GRID_PX].astype(np.float32)
-        theirs = picture[::_GRID_PX, ::_GRID_PX].astype(np.float32)
+        height, width = picture.shape[:2]
+        every = max(1, math.isqrt(height * width // _LIT_PX))
+        mine = self.picture[::every, ::every].astype(np.float32)
+        theirs = picture[::every, ::every].astype(np.float32)
         lit = (theirs > _DARK) & (theirs < _BRIGHT) & (mine > _DARK) & (mine < _BRIGHT)
         return float(np.median(mine[lit] / theirs[lit])) if lit.sum() > _LEAST_LIT else 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Work:
+    """Arrays that are written to again and again: new ones take longer to get than to fill.
+
+    Attributes:
+        smooth: the picture, shape (H, W, 3).
+        apart: its difference, likewise.
+        planes: of that difference, three of shape (H, W).
+    """
+
+    smooth: Picture
+    apart: Picture
+    planes: tuple[Picture, ...]
+
+    @classmethod
+    def of(cls, picture: Picture) -> _Work:
+        """Arrays for pictures of this one's shape."""
+        planes = tuple(np.empty(picture.shape[:2], np.uint8) for _ in range(3))
+        return cls(np.empty_like(picture), np.empty_like(picture), planes)
+
+    def largest_difference(self, still: Picture) -> Picture:
+        """Of the three colours of the smooth picture; NumPy takes ten times as long for it."""
+        import cv2
+
+        cv2.absdiff(self.smooth, still, dst=self.apart)
+        cv2.split(self.apart, self.planes)
+        red, green, blue = self.planes
+        cv2.max(red, green, dst=green)
+        return np.asarray(cv2.max(green, blue, dst=blue), np.uint8)
 
 
 def still_background(
@@ -96,12 +148,19 @@ def still_background(
 
     median = np.empty(samples[0].shape, np.uint8)
     spread = np.empty(median.shape[:2], np.float32)
+    work: _Work | None = None
     for top in range(0, len(median), _STRIP_ROWS):
         strip = slice(top, top + _STRIP_ROWS)
         values = [sample[strip] for sample in samples]
         median[strip] = middle = middle_of(values)
         still = _smooth(middle)
-        spread[strip] = middle_of([_largest_difference(_smooth(part), still) for part in values])
+        if work is None or work.smooth.shape != middle.shape:
+            work = _Work.of(middle)
+        apart: list[Picture] = []
+        for part in values:
+            cv2.blur(part, _BLOCK, dst=work.smooth)
+            apart.append(work.largest_difference(still).copy())
+        spread[strip] = middle_of(apart)
     if any(np.isfinite(where[:, 0]).any() for where in maybe_px):
         _leave_out(median, spread, samples, maybe_px, radius_px)
     widened = np.asarray(cv2.dilate(spread, np.ones((3, 3), np.uint8)))
@@ -167,9 +226,15 @@ def _leave_out(
     )
     rows, columns = np.mgrid[top:bottom, left:right]
     hidden = np.zeros((len(samples), *rows.shape), dtype=bool)
+    reach = math.ceil(radius_px) + 1
     for at, where in enumerate(maybe_px):
         for x, y in where[np.isfinite(where[:, 0])]:
-            hidden[at] |= (columns - x) ** 2 + (rows - y) ** 2 < radius_px**2
+            first_row, first_column = round(y) - reach - top, round(x) - reach - left
+            near = (
+                slice(max(first_row, 0), max(first_row + 2 * reach + 1, 0)),
+                slice(max(first_column, 0), max(first_column + 2 * reach + 1, 0)),
+            )
+            hidden[at][near] |= (columns[near] - x) ** 2 + (rows[near] - y) ** 2 < radius_px**2
     often = hidden.sum(axis=0)
     touched = (often > 0) & (often < len(samples))
     if touched.any():
@@ -189,12 +254,4 @@ def _smooth(picture: Picture) -> Picture:
     """Each pixel the mean of three by three."""
     import cv2
 
-    return np.asarray(cv2.blur(picture, (3, 3)), np.uint8)
-
-
-def _largest_difference(picture: Picture, still: Picture) -> Picture:
-    """Of the three channels, shape (H, W); NumPy takes ten times as long for it."""
-    import cv2
-
-    red, green, blue = cv2.split(np.asarray(cv2.absdiff(picture, still), np.uint8))
-    return np.asarray(cv2.max(cv2.max(red, green), blue), np.uint8)
+    return np.asarray(cv2.blur(picture, _BLOCK), np.uint8)

@@ -9,7 +9,9 @@ large ones count little (Geman and McClure's weights, at first wide).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,8 +40,8 @@ _LONGEST_STEP, _MOST_GROWTH = 0.4, 0.1
 """Of one step: in ball radii, and in the logarithm of its size. Farther off, the Jacobian is
 different."""
 
-_LEAST_CURVATURE = 1e-3
-"""Added to the normal matrix for x and y, so that a ball without contrast does not make it
+_LEAST_CURVATURE = np.array([1e-3, 1e-3, 0.0, 0.0, 0.0, 0.0])
+"""Added to the normal matrix's diagonal, so that a ball without contrast does not make it
 singular."""
 
 _LARGE, _LARGE_FRACTION, _STRICTER = 30.0, 0.35, 0.65
@@ -47,7 +49,7 @@ _LARGE, _LARGE_FRACTION, _STRICTER = 30.0, 0.35, 0.65
 is more. At first only larger ones, the bound times 0.65 a step, or the edge would have no
 gradient."""
 
-_PRIOR = np.diag([0.0, 0.0, 0.25**-2, 0.2**-2, 0.2**-2, 0.2**-2])
+_PRIOR = np.array([0.0, 0.0, 0.25**-2, 0.2**-2, 0.2**-2, 0.2**-2])
 """Inverse variances of the values that are fitted. Standard deviations: .25 of the logarithm of the
 size, .2 of the light, as a whole, to the right and downward; of x and y nothing is known."""
 
@@ -72,20 +74,27 @@ class Patch:
     """A part of a picture and of the background, N by N pixels, reduced where the ball is large.
 
     Attributes:
-        seen, behind: colours (0 to 255), shape (N, N, 3).
+        seen, behind: colours (0 to 255), a plane for each, shape (3, N, N).
+        apart: what is seen less what is behind, 0 out of the picture, shape (3, N, N).
         inside: 1 where it is in the picture, shape (N, N).
-        bare: mean squared difference of the two, shape (N, N); 0 out of the picture.
+        bare: mean square of `apart` over the colours, shape (N, N).
         left, top: of its first pixel, in the picture [px].
         zoom: its pixels per pixel of the picture.
     """
 
     seen: FloatPicture
     behind: FloatPicture
+    apart: FloatPicture
     inside: FloatPicture
     bare: FloatPicture
     left: int
     top: int
     zoom: float
+
+    @cached_property
+    def is_cut(self) -> bool:
+        """Whether a part of it is out of the picture."""
+        return not self.inside.all()
 
     def here(self, x: float, y: float) -> tuple[float, float]:
         """A position in the picture, in the patch's pixels."""
@@ -134,17 +143,23 @@ def cut_patch(
     small = max(5, round(side * zoom))
     inside = np.ones((box[0].stop - box[0].start, box[1].stop - box[1].start), np.float32)
     reduced: list[FloatPicture] = []
-    for part in (picture[box] * np.float32(gain), background.picture[box], inside):
+    for part in (picture[box], background.picture[box], inside):
         fine = part.astype(np.float32)
         if max(outside):
             fine = cv2.copyMakeBorder(fine, *outside, cv2.BORDER_CONSTANT)
         if fine.shape[0] != small:
             fine = cv2.resize(fine, (small, small), interpolation=cv2.INTER_AREA)
         reduced.append(np.asarray(fine, np.float32))
-    seen, behind, shown = reduced
-    known = (shown > _ENTIRELY).astype(np.float32)
-    bare = np.square(seen - behind).mean(axis=2) * known
-    return Patch(seen, behind, known, bare, left, top, small / side)
+    seen, behind = (np.ascontiguousarray(one.transpose(2, 0, 1)) for one in reduced[:2])
+    seen *= np.float32(gain)
+    known = (reduced[2] > _ENTIRELY).astype(np.float32)
+    apart = (seen - behind) * known
+    return Patch(seen, behind, apart, known, _mean_square(apart), left, top, small / side)
+
+
+def _mean_square(planes: FloatPicture) -> FloatPicture:
+    """Over the three colours, shape (N, M) of (3, N, M)."""
+    return np.einsum("kij,kij->ij", planes, planes) * np.float32(1 / 3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,60 +168,62 @@ class DrawnBall:
 
     Attributes:
         box: rows and columns of the patch, N of them by M.
-        layers: the ball's colours times its fraction of each pixel, and that fraction, shape
-            (N, M, 4).
-        behind: the background, shape (N, M, 3).
-        off: residual, what is seen beyond what would be, shape (N, M, 3).
-        inside: pixels that are mostly ball and in the picture, shape (N, M).
-        x, y: from the ball's middle, in its radii, shapes (1, M, 1) and (N, 1, 1).
+        layers: planes of the ball's colours times its fraction of each pixel, and of that fraction,
+            shape (4, N, M).
+        behind: the background, shape (3, N, M).
+        off: residual, what is seen beyond what would be, shape (3, N, M).
+        x, y: from the ball's middle, in its radii, shapes (1, M) and (N, 1).
     """
 
     box: tuple[slice, slice]
     layers: FloatPicture
     behind: FloatPicture
     off: FloatPicture
-    inside: NDArray[np.bool_]
     x: FloatPicture
     y: FloatPicture
 
     def squared(self, patch: Patch) -> FloatPicture:
         """Mean squared residual of each pixel of the patch, shape of the patch."""
         whole = patch.bare.copy()
-        whole[self.box] = np.einsum("ijk,ijk->ij", self.off, self.off) / np.float32(3)
+        whole[self.box] = _mean_square(self.off)
         return whole
+
+    def inside(self, patch: Patch) -> NDArray[np.bool_]:
+        """Pixels that are mostly ball and in the picture, shape (N, M)."""
+        return (self.layers[3] > 0.5) & (patch.inside[self.box] > 0)
 
     def misfit(self, patch: Patch) -> float:
         """See `Placing`; infinite where nothing of the ball is in the picture."""
-        if not self.inside.any():
+        inside = self.inside(patch)
+        if not inside.any():
             return np.inf
-        squared = self.squared(patch)[self.box][self.inside]
-        beyond_noise = max(float(squared.mean()) - _NOISE**2, 0.0)
-        return float(np.sqrt(beyond_noise)) / self.contrast
+        beyond_noise = max(float(_mean_square(self.off)[inside].mean()) - _NOISE**2, 0.0)
+        return math.sqrt(beyond_noise) / self.contrast(inside)
 
-    @property
-    def contrast(self) -> float:
+    def contrast(self, inside: NDArray[np.bool_]) -> float:
         """How far the ball stands out of the background (0 to 255), rms, at least 1."""
-        fraction = self.layers[:, :, 3:]
-        stands_out = (self.layers[:, :, :3] - self.behind * fraction)[self.inside]
-        return float(np.sqrt((stands_out**2).mean() + 1.0)) if len(stands_out) else 1.0
+        stands_out = (self.layers[:3] - self.behind * self.layers[3])[:, inside]
+        return math.sqrt(float(np.square(stands_out).mean()) + 1.0) if stands_out.size else 1.0
 
     def jacobian(self, radius: float) -> FloatPicture:
-        """Derivative of what would be seen by each value of `draw_ball`, shape (6, N, M, 3).
+        """Derivative of what would be seen by each value of `draw_ball`, shape (6, 3, N, M).
 
         Args:
             radius: of the ball's outline, in pixels of the patch.
         """
-        slopes = np.zeros((2, *self.layers.shape), np.float32)  # central differences in x and y
-        np.subtract(self.layers[:, 2:], self.layers[:, :-2], out=slopes[0, :, 1:-1])
-        np.subtract(self.layers[2:], self.layers[:-2], out=slopes[1, 1:-1])
-        slopes *= np.float32(0.5)
-        colours = self.layers[:, :, :3]
+        layers, colours = self.layers, self.layers[:3]
+        slopes = np.zeros((2, *layers.shape), np.float32)  # central differences, doubled
+        np.subtract(layers[:, :, 2:], layers[:, :, :-2], out=slopes[0, :, :, 1:-1])
+        np.subtract(layers[:, 2:], layers[:, :-2], out=slopes[1, :, 1:-1])
         rows = np.empty((6, *self.off.shape), np.float32)
-        rows[:2] = self.behind * slopes[..., 3:] - slopes[..., :3]
-        rows[2] = (self.x * rows[0] + self.y * rows[1]) * np.float32(radius)
+        np.multiply(self.behind, slopes[:, 3:], out=rows[:2])
+        rows[:2] -= slopes[:, :3]
+        rows[:2] *= np.float32(0.5)
+        np.multiply(rows[0], self.x * np.float32(radius), out=rows[2])
+        rows[2] += rows[1] * (self.y * np.float32(radius))
         rows[3] = colours
-        rows[4] = colours * self.x
-        rows[5] = colours * self.y
+        np.multiply(colours, self.x, out=rows[4])
+        np.multiply(colours, self.y, out=rows[5])
         return rows
 
 
@@ -224,50 +241,54 @@ def draw_ball(layers: FloatPicture, radius: float, patch: Patch, values: Array) 
     """
     import cv2
 
-    side = patch.seen.shape[0]
-    grow = float(np.exp(values[2]))
+    x_px, y_px, growth, light, sideways, downward = values.tolist()
+    side = patch.bare.shape[0]
+    grow = math.exp(growth)
     size = radius * grow
-    half = int(np.ceil(size)) + _MARGIN_PX
-    left, right, top, bottom = (
-        min(max(round(float(values[axis])) + end, 0), side)
-        for axis in (0, 1)
-        for end in (-half, half + 1)
-    )
+    half = math.ceil(size) + _MARGIN_PX
+    left, right = max(round(x_px) - half, 0), min(round(x_px) + half + 1, side)
+    top, bottom = max(round(y_px) - half, 0), min(round(y_px) + half + 1, side)
     if left >= right or top >= bottom:
         return None
     box = slice(top, bottom), slice(left, right)
     middle = grow * (layers.shape[0] - 1) / 2
-    move = np.array([[grow, 0.0, values[0] - middle - left], [0.0, grow, values[1] - middle - top]])
+    move = np.array([[grow, 0.0, x_px - middle - left], [0.0, grow, y_px - middle - top]])
     warped = cv2.warpAffine(layers, move, (right - left, bottom - top), flags=cv2.INTER_LINEAR)
-    drawn = np.asarray(warped, np.float32)
-    x = ((np.arange(left, right) - values[0]) / size).astype(np.float32)[None, :, None]
-    y = ((np.arange(top, bottom) - values[1]) / size).astype(np.float32)[:, None, None]
-    light, sideways, downward = (np.float32(value) for value in values[3:])
-    colours, fraction = drawn[:, :, :3], drawn[:, :, 3:]
-    colours *= 1 + light + sideways * x + downward * y
-    behind = patch.behind[box]
-    off = (patch.seen[box] - behind * (1 - fraction) - colours) * patch.inside[box][:, :, None]
-    inside = (drawn[:, :, 3] > 0.5) & (patch.inside[box] > 0)
-    return DrawnBall(box, drawn, behind, off, inside, x, y)
+    drawn = np.ascontiguousarray(np.asarray(warped, np.float32).transpose(2, 0, 1))
+    x = np.arange(left - x_px, right - x_px - 0.5, dtype=np.float32)[None] / np.float32(size)
+    y = np.arange(top - y_px, bottom - y_px - 0.5, dtype=np.float32)[:, None] / np.float32(size)
+    drawn[:3] *= np.float32(1 + light) + np.float32(sideways) * x + np.float32(downward) * y
+    behind = patch.behind[:, box[0], box[1]]
+    off = behind * drawn[3]
+    off -= drawn[:3]
+    off += patch.apart[:, box[0], box[1]]
+    if patch.is_cut:
+        off *= patch.inside[box]
+    return DrawnBall(box, drawn, behind, off, x, y)
 
 
-def best_start(layers: FloatPicture, radius: float, patch: Patch, start: Array) -> Array:
-    """The best of a few starts around, for one that is off by a part of the ball.
+def unlike(layers: FloatPicture, radius: float, patch: Patch, values: Array) -> float:
+    """How much of what is seen is not explained, each residual counting 1 at most.
 
     Args:
         layers: see `Appearance`.
         radius: of its outline, in pixels of the patch.
         patch: where.
-        start: see `draw_ball`, shape (6,).
+        values: see `draw_ball`, shape (6,).
     """
+    drawn = draw_ball(layers, radius, patch, values)
+    off = patch.bare if drawn is None else drawn.squared(patch)
+    return float((off / (off + _LARGE**2)).sum())
+
+
+def best_start(layers: FloatPicture, radius: float, patch: Patch, start: Array) -> Array:
+    """The best of a few starts around, for one that is off by a part of the ball; see `unlike`."""
     step = _START_STEP * radius
-    tried = []
-    for right, down, growth in _STARTS:
-        values = start + np.array([right * step, down * step, growth, 0.0, 0.0, 0.0])
-        drawn = draw_ball(layers, radius, patch, values)
-        off = patch.bare if drawn is None else drawn.squared(patch)
-        tried.append((float((off / (off + _LARGE**2)).sum()), values))
-    return min(tried, key=lambda pair: pair[0])[1]
+    tried = [
+        start + np.array([right * step, down * step, growth, 0.0, 0.0, 0.0])
+        for right, down, growth in _STARTS
+    ]
+    return min(tried, key=lambda values: unlike(layers, radius, patch, values))
 
 
 def fit_ball(
@@ -293,32 +314,34 @@ def fit_ball(
     Returns:
         The values, shape (6,), and their misfit (see `Placing`).
     """
+    import cv2
+
     values = start.copy()
     expected = np.array([0.0, 0.0, growth, 0.0, 0.0, 0.0])
     drawn = draw_ball(layers, radius, patch, values)
     if drawn is None:
         return values, np.inf
-    strict = max(_LARGE, _LARGE_FRACTION * drawn.contrast)
+    strict = max(_LARGE, _LARGE_FRACTION * drawn.contrast(drawn.inside(patch)))
     for turn in range(_MOST_STEPS):
         squared = drawn.squared(patch)
         large = strict * max(1.0, at_first * _STRICTER**turn)
-        weight = patch.inside / (1 + squared / np.float32(large**2)) ** 2
+        weight = patch.inside / np.square(1 + squared * np.float32(large**-2))
+        noise = max(float(np.vdot(weight, squared)) / (float(weight.sum()) + 1e-9), 1.0)
         jacobian = drawn.jacobian(radius)
-        weighted = (jacobian * weight[drawn.box][:, :, None]).reshape(6, -1)
+        weighted = (jacobian * weight[drawn.box]).reshape(6, -1)
         normal = (weighted @ jacobian.reshape(6, -1).T).astype(np.float64)
         towards = (weighted @ drawn.off.reshape(-1)).astype(np.float64)
-        noise = max(float((weight * squared).sum() / (weight.sum() + 1e-9)), 1.0)
-        normal += 3 * noise * _PRIOR  # a pixel's three colours err alike: as one
-        towards -= 3 * noise * _PRIOR @ (values - expected)
-        normal[0, 0] += _LEAST_CURVATURE
-        normal[1, 1] += _LEAST_CURVATURE
-        step = np.linalg.solve(normal, towards)
-        step[:2] *= min(1.0, _LONGEST_STEP * radius / (float(np.hypot(*step[:2])) + 1e-9))
+        prior = 3 * noise * _PRIOR  # a pixel's three colours err alike: as one
+        normal.flat[::7] += prior + _LEAST_CURVATURE  # its diagonal
+        towards -= prior * (values - expected)
+        step = cv2.solve(normal, towards[:, None], flags=cv2.DECOMP_CHOLESKY)[1][:, 0]
+        moved = math.hypot(step[0], step[1])
+        step[:2] *= min(1.0, _LONGEST_STEP * radius / (moved + 1e-9))
         step[2] = min(max(step[2], -_MOST_GROWTH), _MOST_GROWTH)
         values = values + step
         drawn = draw_ball(layers, radius, patch, values)
         if drawn is None:
             return values, np.inf
-        if large == strict and np.abs(step[:2]).max() < _ENOUGH_PX:
+        if large == strict and max(abs(step[0]), abs(step[1])) < _ENOUGH_PX:
             break
     return values, drawn.misfit(patch)

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Collection, Iterator, Set
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis.selection import check_start
+from analysis.tracking.kept_film import begin_film
 from tunenet_logs.arrays import Picture
 from tunenet_logs.clock_jumps import filmed_part
 from tunenet_logs.episode import Episode, Frame
 from tunenet_logs.errors import LogError, NotFoundError, UsageError
 from tunenet_logs.late_stamps import ARRIVALS, STAMPS_NOTE, correct_late_stamps
+from tunenet_logs.pixels import mean_of_blocks
 
 _MOST_SAMPLES = 64
 """Pictures for the background, in memory at once: enough that a ball, a hand or a person covers no
@@ -85,72 +89,83 @@ class Pictures:
     def _look_through(self) -> None:
         """Decode every picture once, for the stamps, the size and some samples.
 
+        Most pictures are taken to have the first one's size; where they have another, once more.
+
         Raises:
             NotFoundError: there is none, or the part begins past the last one.
         """
-        self.start_ns = 0
-        self.length_s = 0.0
-        self.damaged = 0
-        self.opened = 0
-        self.other_size = 0
-        self.samples: list[Picture] = []
-        stamps: list[int] = []
-        every, reason = 1, ""
-        self._kept: set[int] = set()
-        sizes: Counter[tuple[int, int]] = Counter()
-        for _, frame in self._selected():
-            with suppress(LogError):
-                sizes[frame.size_px()] += 1
-            if frame.size is not None and sizes.total() >= _MOST_SAMPLES:
-                break  # they may be a video's, and each of them decoded for this
-        self.size_px = sizes.most_common(1)[0][0] if sizes else (1, 1)
-        self.scale = max(1, int(np.ceil(np.sqrt(np.prod(self.size_px) / _MOST_PIXELS))))
-        for index, frame in self._selected():
-            try:
-                picture = frame.decode()
-            except LogError as error:
-                self.damaged += 1
-                reason = str(error)
-                continue
-            height, width = picture.shape[:2]
-            self.other_size += (width, height) != self.size_px
-            if (width, height) == self.size_px and (not stamps or frame.stamp_ns > stamps[-1]):
-                if len(stamps) % every == 0:
-                    self.samples.append(self._reduced(picture))
-                if len(self.samples) > _MOST_SAMPLES:  # how many there will be is not known yet
-                    self.samples, every = self.samples[::2], 2 * every
-                stamps.append(frame.stamp_ns)
-                self._kept.add(index)
-            del picture  # a large one would else be kept while the next is decoded
-        self.sampled = every * np.arange(len(self.samples))
-        if not stamps:
-            why = f": {reason}" if reason else ""
-            raise NotFoundError(f"holds no picture that can be decoded (in the part selected){why}")
+        sizes = self._look_for_pictures(None)
+        usual = sizes.most_common(1)[0][0] if sizes else self.size_px
+        if usual != self.size_px:
+            self._look_for_pictures(usual)
+        if not len(self.stamps_ns):
+            raise NotFoundError(
+                "holds no picture that can be decoded (in the part selected)" + self._why
+            )
         self.arrivals = correct_late_stamps(
-            np.array(stamps, np.int64),
+            self.stamps_ns,
             are_arrivals=self._episode.info.notes.get(STAMPS_NOTE, "").startswith(ARRIVALS),
         )
         self.stamps_ns = self.arrivals.stamps_ns
 
-    def __iter__(self) -> Iterator[Picture]:
+    def _look_for_pictures(self, usual: tuple[int, int] | None) -> Counter[tuple[int, int]]:
+        """Look through the pictures of this size, of the first one's where it is None.
+
+        Returns:
+            How many there are of each size.
+        """
+        self.size_px, self.scale = usual or (1, 1), _scale_of(usual or (1, 1))
+        self.start_ns = 0
+        self.length_s = 0.0
+        self.damaged = self.opened = self.other_size = 0
+        self._film = begin_film(self._episode, self._topic, is_part=self._span_ns is not None)
+        self._kept: list[int] = []
+        self._why = ""
+        stamps: list[int] = []
+        samples = _EvenSamples()
+        sizes: Counter[tuple[int, int]] = Counter()
         for index, frame in self._selected():
-            if index in self._kept:
-                yield self._reduced(frame.decode())
+            try:
+                size = frame.size_px()
+                if usual is None:
+                    usual = self.size_px = size
+                    self.scale = _scale_of(size)
+                sizes[size] += 1
+                picture = frame.decode(self.scale) if size == self.size_px else None
+            except LogError as error:
+                self.damaged += 1
+                self._why = f": {error}"
+                continue
+            if picture is None:
+                self.other_size += 1
+            elif not stamps or frame.stamp_ns > stamps[-1]:
+                samples.add(picture)
+                self._film.keep(index, frame, picture)
+                stamps.append(frame.stamp_ns)
+                self._kept.append(index)
+        self.samples, self.sampled = samples.pictures, samples.numbers
+        self.stamps_ns = np.array(stamps, np.int64)
+        return sizes
+
+    def __iter__(self) -> Iterator[Picture]:
+        return self._of(set(self._kept))
 
     def some(self, numbers: Collection[int]) -> list[Picture]:
         """Those of these numbers (of `stamps_ns`), in order; the others are not decoded."""
-        wanted = set(numbers)
-        found: list[Picture] = []
-        number = -1
+        return list(self._of({self._kept[number] for number in numbers}))
+
+    def _of(self, wanted: Set[int]) -> Iterator[Picture]:
+        """Pictures by their numbers in the topic, in order."""
+        if self._film.is_whole:
+            yield from (self._film.pictures[index] for index in self._kept if index in wanted)
+            return
+        left = len(wanted)
         for index, frame in self._selected():
-            if index not in self._kept:
-                continue
-            number += 1
-            if number in wanted:
-                found.append(self._reduced(frame.decode()))
-            if len(found) == len(wanted):
+            if index in wanted:
+                yield frame.decode(self.scale)
+                left -= 1
+            if not left:
                 break
-        return found
 
     def allowed(self, roi: tuple[int, int, int, int] | None) -> Picture | None:
         """Where the ball may be: 1 inside the box, 0 outside; None for everywhere.
@@ -173,7 +188,7 @@ class Pictures:
             raise UsageError(f"--roi {roi} is not inside the picture of {wide} x {tall} px")
         mask = np.zeros((tall, wide), np.uint8)
         mask[top : top + height, left : left + width] = 1
-        return self._reduced(mask)
+        return mean_of_blocks(mask, self.scale)
 
     def scaled(self, ball_at: tuple[float, float, float]) -> tuple[float, float, float]:
         """Convert a position [px] and a time [s] to reduced pictures that begin at `stamps_ns[0]`.
@@ -218,16 +233,48 @@ class Pictures:
             yield index, frame
         check_start(self._start_s, self.length_s)
 
-    def _reduced(self, picture: Picture) -> Picture:
-        """The mean of each `scale` by `scale` pixels; what is left over at two edges is cut."""
-        if self.scale == 1:
-            return picture
-        import cv2
 
-        height, width = picture.shape[:2]
-        size = (width // self.scale, height // self.scale)
-        cut = picture[: size[1] * self.scale, : size[0] * self.scale]
-        return np.asarray(cv2.resize(cut, size, interpolation=cv2.INTER_AREA), np.uint8)
+class _EvenSamples:
+    """Some pictures of a film of unknown length, evenly over it.
+
+    Attributes:
+        pictures: at most `_MOST_SAMPLES`.
+    """
+
+    def __init__(self) -> None:
+        self.pictures: list[Picture] = []
+        self._every, self._count = 1, 0
+
+    @property
+    def numbers(self) -> NDArray[np.intp]:
+        """Of the samples among the pictures."""
+        return self._every * np.arange(len(self.pictures))
+
+    def add(self, picture: Picture) -> None:
+        """The next picture of the film."""
+        if self._count % self._every == 0:
+            self.pictures.append(picture)
+        self._count += 1
+        if len(self.pictures) > _MOST_SAMPLES:
+            self.pictures, self._every = self.pictures[::2], 2 * self._every
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """OpenCV in one thread: on pictures of this size more of them mostly wait, and spin at it."""
+    import cv2
+
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before)
+
+
+def _scale_of(size_px: tuple[int, int]) -> int:
+    """By which pictures of a size are reduced."""
+    return max(1, math.ceil(math.sqrt(math.prod(size_px) / _MOST_PIXELS)))
 
 
 def readable_frames(episode: Episode, topic: str) -> Iterator[Frame]:

@@ -11,11 +11,11 @@ from analysis.selection import Hints
 from analysis.tracking.appearance import learn_appearance
 from analysis.tracking.arcs import LEAST_FRAMES, Arc, longest_arc, same_arc
 from analysis.tracking.background import Background, halved_background, still_background
+from analysis.tracking.ball_detector import BallDetector
 from analysis.tracking.camera_motion import check_still
 from analysis.tracking.candidates import Blobs, Candidates, hsv_blobs, moving_blobs, picked
 from analysis.tracking.following import (
     LEAST_SEEN,
-    BallDetector,
     color_and_size,
     flight_and_rest,
     follow,

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 from recorders.camera.base import Shot, Source
 from recorders.camera.packet_stream import PacketStream
 from recorders.camera.reading_thread import ReadingThread
 from recorders.topic_queue import Item
-from tunenet_logs.episode import Frame
 from tunenet_logs.formats.video_messages import Packet, decoded
 from tunenet_logs.jpeg import compressed
 
@@ -95,7 +95,7 @@ class Transcoded:
             shot = waiting.pop(picture.stamp_ns)
             if not self._shown:
                 self._before = begun = picture.stamp_ns
-            made = compressed(Frame(shot.frame.stamp_ns, "rgb8", picture.data, picture.size))
+            made = compressed(replace(picture, stamp_ns=shot.frame.stamp_ns))
             yield Shot(made, shot.told_ns)
             shown += 1
             self._shown += 1

@@ -10,10 +10,9 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame
 from tunenet_logs.errors import LogError
+from tunenet_logs.formats.decoded_picture import decoded_frame
 from tunenet_logs.formats.mp4_claims import CheckedFile
 from tunenet_logs.formats.read_options import AS_IT_SAYS, ReadOptions
 from tunenet_logs.formats.video_clock import StoredTimes, VideoClock, clock_of
@@ -95,11 +94,9 @@ class Video:
                 made_up = picture.is_corrupt or (made_up and not picture.key_frame)
                 if made_up:  # the decoder fills a hole from the pictures before it
                     continue
-                upright = _turned(picture.to_ndarray(format="rgb24"), self.rotation_deg)
-                if self.codec == "gif":
-                    upright = _undithered(upright)
-                height, width = upright.shape[:2]
-                yield Frame(stamp_ns, "rgb8", upright.tobytes(), (width, height))
+                yield decoded_frame(
+                    stamp_ns, picture, self.rotation_deg, dithered=self.codec == "gif"
+                )
 
     def _stored_jpegs(self) -> Iterator[Frame]:
         with _opened(self.path) as container:
@@ -239,25 +236,6 @@ def video_notes(video: Video) -> dict[str, str]:
 
 def _frames_of(video: Video, _topic: str) -> Iterator[Frame]:
     return video.frames()
-
-
-def _turned(pixels: np.ndarray, counterclockwise_deg: int) -> np.ndarray:
-    import cv2
-
-    turns = {
-        90: cv2.ROTATE_90_COUNTERCLOCKWISE,
-        180: cv2.ROTATE_180,
-        270: cv2.ROTATE_90_CLOCKWISE,
-    }
-    turn = turns.get(counterclockwise_deg % 360)
-    return pixels if turn is None else cv2.rotate(pixels, turn)
-
-
-def _undithered(pixels: np.ndarray) -> np.ndarray:
-    """The mean colour around each pixel, which is what few colours that alternate stand for."""
-    import cv2
-
-    return cv2.GaussianBlur(pixels, (0, 0), 1.0)
 
 
 @contextmanager

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from tunenet_logs.episode import Frame
 from tunenet_logs.errors import LogError
+from tunenet_logs.formats.decoded_picture import decoded_frame
 from tunenet_logs.images import MAX_PIXELS
 
 if TYPE_CHECKING:
@@ -121,8 +122,7 @@ class _Stream:
             if stamp_ns is None or not self._began or picture.is_corrupt:
                 continue
             if 0 < picture.width * picture.height <= MAX_PIXELS:
-                pixels = picture.to_ndarray(format="rgb24")
-                yield Frame(stamp_ns, "rgb8", pixels.tobytes(), (picture.width, picture.height))
+                yield decoded_frame(stamp_ns, picture)
 
     def _decode(self, number: int | None, data: bytes) -> list[VideoFrame]:
         import av

@@ -13,8 +13,7 @@ from analysis.drop.film import FilmedDrop
 from analysis.drop.review.review_data import ReviewData, begin_s
 from analysis.record import Tuning
 from analysis.review.drawing import OBSERVED, Color, at_seconds, screen_radius
-from analysis.review.pictures import reduced, send_pictures
-from analysis.tracking.pictures import readable_frames
+from analysis.review.pictures import frames_to_show, reduced, send_pictures
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Frame
 from tunenet_logs.errors import LogError
@@ -133,7 +132,7 @@ def log_pictures(
     """The pictures of this time as they were recorded; bare pixels, or far too many, reduced."""
     assert tuning.episode is not None
     shown: list[Frame] = []
-    for recorded in readable_frames(tuning.episode, found.topic):
+    for recorded in frames_to_show(tuning.episode, found.topic):
         stamp_ns = found.taken_ns.get(recorded.stamp_ns, recorded.stamp_ns)
         frame = replace(recorded, stamp_ns=stamp_ns)
         if not span_ns[0] <= frame.stamp_ns <= span_ns[1]:

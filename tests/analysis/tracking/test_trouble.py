@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from analysis.drop.film import find_filmed_drop
+from analysis.tracking import kept_film
 from analysis.tracking.background import middle_of
 from analysis.tracking.candidates import Candidates
 from analysis.tracking.pictures import Pictures
@@ -52,10 +54,13 @@ def long_hold(episode: Episode, times: int) -> Episode:
 
 
 @pytest.mark.parametrize("more", [40, pytest.param(250, marks=pytest.mark.slow)])
-def test_memory_does_not_grow_with_the_recording(episode: Episode, more: int):
-    """Up to four times the pictures; what grows is a table of a few numbers for each."""
+def test_memory_does_not_grow_with_the_recording(
+    episode: Episode, monkeypatch: pytest.MonkeyPatch, more: int
+):
+    """Once there are more pictures than are kept; what grows is a few numbers for each."""
     import tracemalloc
 
+    monkeypatch.setattr(kept_film, "_MOST_BYTES", 10_000_000)
     peaks = []
     for times in (10, more):
         longer = long_hold(episode, times)
@@ -65,6 +70,27 @@ def test_memory_does_not_grow_with_the_recording(episode: Episode, more: int):
         tracemalloc.stop()
         assert track.found[times + 15 :].mean() > 0.95
     assert peaks[1] < 1.3 * peaks[0]
+
+
+def test_a_film_that_is_not_kept_is_the_same(episode: Episode, monkeypatch: pytest.MonkeyPatch):
+    kept = tracked(episode)
+    assert kept_film.kept_film(episode, episode.picture_topics[0]) is not None
+    monkeypatch.setattr(kept_film, "_MOST_BYTES", 1_000_000)
+    again = tracked(episode)
+    assert kept_film.kept_film(episode, episode.picture_topics[0]) is None
+    assert np.array_equal(kept.places_px, again.places_px, equal_nan=True)
+
+
+def test_one_film_is_kept_and_no_longer_than_its_episode(made: Made):
+    first, second = rendered_ball(made), rendered_ball(made)
+    for one in (first, second):
+        tracked(one)
+    topic = first.picture_topics[0]
+    assert kept_film.kept_film(first, topic) is None
+    assert kept_film.kept_film(second, topic) is not None
+    del one, second
+    gc.collect()
+    assert not len(kept_film._last)
 
 
 def test_pictures_that_come_twice_count_once(episode: Episode):

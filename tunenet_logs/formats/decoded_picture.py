@@ -1,0 +1,62 @@
+"""A picture that a video's decoder gave, as a frame: made RGB when it is asked for, at its size."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tunenet_logs.episode import Frame
+from tunenet_logs.errors import LogError
+from tunenet_logs.pixels import mean_of_blocks
+
+if TYPE_CHECKING:
+    from av import VideoFrame
+
+_TURNS = {90: "ROTATE_90_COUNTERCLOCKWISE", 180: "ROTATE_180", 270: "ROTATE_90_CLOCKWISE"}
+
+
+def decoded_frame(
+    stamp_ns: int, picture: VideoFrame, rotation_deg: int = 0, *, dithered: bool = False
+) -> Frame:
+    """The frame of a decoded picture, which is kept as its decoder gave it: half of RGB's size.
+
+    Args:
+        stamp_ns: when it was taken.
+        picture: not changed by its decoder any more.
+        rotation_deg: counterclockwise turn that brings it upright; a multiple of 90.
+        dithered: whether it has few colours that alternate, which stand for their mean.
+    """
+    width, height = picture.width, picture.height
+    upright = (height, width) if rotation_deg % 180 else (width, height)
+    pixels = partial(_rgb, picture, rotation_deg % 360, dithered)
+    return Frame(stamp_ns, "rgb8", b"", upright, pixels)
+
+
+def _rgb(picture: VideoFrame, rotation_deg: int, dithered: bool, scale: int) -> NDArray[np.uint8]:
+    """It in RGB, reduced by the whole number `scale`, shape (H, W, 3).
+
+    Raises:
+        LogError: it cannot be made RGB.
+    """
+    import cv2
+    from av.error import FFmpegError
+
+    width, height = picture.width, picture.height
+    small = (width // scale, height // scale)
+    is_even = small[0] * scale == width and small[1] * scale == height
+    try:
+        if is_even and not dithered:
+            shown, left = picture.reformat(*small, "rgb24", interpolation="AREA"), 1
+        else:
+            shown, left = picture.reformat(format="rgb24"), scale
+        pixels = np.asarray(shown.to_ndarray(), np.uint8)
+    except (FFmpegError, ValueError, OverflowError, MemoryError) as error:
+        raise LogError(f"a picture of a video cannot be shown ({error})") from error
+    if rotation_deg:
+        pixels = np.asarray(cv2.rotate(pixels, getattr(cv2, _TURNS[rotation_deg])), np.uint8)
+    if dithered:
+        pixels = np.asarray(cv2.GaussianBlur(pixels, (0, 0), 1.0), np.uint8)
+    return mean_of_blocks(pixels, left)
