@@ -85,7 +85,7 @@ class Placing:
 
 
 @dataclass(frozen=True, eq=False)
-class Start:
+class FitStart:
     """Where a fit may begin.
 
     Attributes:
@@ -125,7 +125,7 @@ class Appearance:
         x: float,
         y: float,
         grown: float = 1.0,
-    ) -> Start | None:
+    ) -> FitStart | None:
         """Where a fit may begin; None out of the picture.
 
         Args:
@@ -141,9 +141,9 @@ class Appearance:
             return None
         values = np.array([*patch.here(x, y), math.log(grown), 0.0, 0.0, 0.0])
         unlikeness = unlike(self.layers, self.radius_px * self.zoom, patch, values)
-        return Start(x, y, patch, values, unlikeness / patch.inside.size)
+        return FitStart(x, y, patch, values, unlikeness / patch.inside.size)
 
-    def place(self, begin: Start, known: Sequence[Placing] = ()) -> Placing | None:
+    def place(self, begin: FitStart, known: Sequence[Placing] = ()) -> Placing | None:
         """The ball near a start; None where there is none in view, or none that is not known.
 
         Args:
@@ -163,13 +163,13 @@ class Appearance:
             values, misfit = fit_ball(self.layers, radius, patch, values, growth)
         return self._placing(begin, values, misfit)
 
-    def place_again(self, begin: Start) -> Placing | None:
+    def place_again(self, begin: FitStart) -> Placing | None:
         """The ball that was seen at a start in the picture before; None where it is gone."""
         radius, growth = self.radius_px * self.zoom, float(begin.values[2])
         fit = fit_ball(self.layers, radius, begin.patch, begin.values, growth)
         return self._placing(begin, *fit)
 
-    def _placing(self, begin: Start, values: Array, misfit: float) -> Placing | None:
+    def _placing(self, begin: FitStart, values: Array, misfit: float) -> Placing | None:
         """Of values that were fitted; None where they are too far from the start."""
         growth = float(begin.values[2])
         px, py = begin.patch.there(values[0], values[1])

@@ -75,7 +75,7 @@ class Background:
         """
         import cv2
 
-        work = self._work
+        work = self._scratch
         cv2.blur(picture, _BLOCK, dst=work.smooth)
         gain = self.gain(picture)
         if abs(gain - 1) * 255 > _SAME_LIGHT:
@@ -86,8 +86,8 @@ class Background:
         return np.asarray(cv2.min(first, work.largest_difference(self.later)), np.uint8)
 
     @cached_property
-    def _work(self) -> _Work:
-        return _Work.of(self.smooth)
+    def _scratch(self) -> _Scratch:
+        return _Scratch.of(self.smooth)
 
     def gain(self, picture: Picture) -> float:
         """How much brighter the still picture is, by most of its pixels."""
@@ -100,7 +100,7 @@ class Background:
 
 
 @dataclass(frozen=True, eq=False)
-class _Work:
+class _Scratch:
     """Arrays that are written to again and again: new ones take longer to get than to fill.
 
     Attributes:
@@ -114,7 +114,7 @@ class _Work:
     planes: tuple[Picture, ...]
 
     @classmethod
-    def of(cls, picture: Picture) -> _Work:
+    def of(cls, picture: Picture) -> _Scratch:
         """Arrays for pictures of this one's shape."""
         planes = tuple(np.empty(picture.shape[:2], np.uint8) for _ in range(3))
         return cls(np.empty_like(picture), np.empty_like(picture), planes)
@@ -148,14 +148,14 @@ def still_background(
 
     median = np.empty(samples[0].shape, np.uint8)
     spread = np.empty(median.shape[:2], np.float32)
-    work: _Work | None = None
+    work: _Scratch | None = None
     for top in range(0, len(median), _STRIP_ROWS):
         strip = slice(top, top + _STRIP_ROWS)
         values = [sample[strip] for sample in samples]
         median[strip] = middle = middle_of(values)
         still = _smooth(middle)
         if work is None or work.smooth.shape != middle.shape:
-            work = _Work.of(middle)
+            work = _Scratch.of(middle)
         apart: list[Picture] = []
         for part in values:
             cv2.blur(part, _BLOCK, dst=work.smooth)
