@@ -159,20 +159,12 @@ class Appearance:
                 return None
             start = best_start(self.layers, radius, patch, start)
             values, misfit = fit_ball(self.layers, radius, patch, start, growth)
+            here = patch.there(values[0], values[1])
+            if any(fit.is_near(*here) and misfit > fit.misfit for fit in known):
+                return None
         if np.hypot(*(values - start)[:2]) > _NEAR_START * radius:  # it was a long way
             values, misfit = fit_ball(self.layers, radius, patch, values, growth)
-        return self._placing(begin, values, misfit)
-
-    def place_again(self, begin: FitStart) -> Placing | None:
-        """The ball that was seen at a start in the picture before; None where it is gone."""
-        radius, growth = self.radius_px * self.zoom, float(begin.values[2])
-        fit = fit_ball(self.layers, radius, begin.patch, begin.values, growth)
-        return self._placing(begin, *fit)
-
-    def _placing(self, begin: FitStart, values: Array, misfit: float) -> Placing | None:
-        """Of values that were fitted; None where they are too far from the start."""
-        growth = float(begin.values[2])
-        px, py = begin.patch.there(values[0], values[1])
+        px, py = patch.there(values[0], values[1])
         most_px = _MOST_MOVED * self.radius_px * math.exp(growth) + _MOST_MOVED_PX
         if math.hypot(px - begin.x, py - begin.y) > most_px:
             return None

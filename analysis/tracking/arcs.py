@@ -113,41 +113,17 @@ def longest_arc(table: Candidates, least_frames: int = LEAST_FRAMES) -> Arc | No
 
 def _grown_arcs(table: Candidates, seeds: Index) -> Iterator[Arc]:
     """The arcs that triples grow to, those of the best scores after one round of growing."""
-    members = _Members(table)
-    tried: list[tuple[float, int]] = []
+    tried: dict[bytes, tuple[float, int]] = {}
     for index, seed in enumerate(seeds):
-        if members.has(seed):
-            continue  # it would grow to that arc, or nearly
         arc = _grow(table, seed, 1)
         if arc is not None and len(arc.frames) >= _LEAST_GROWN:
-            members.add(arc)
-            tried.append((_score(table, arc), index))
-    members = _Members(table)
-    for _, index in sorted(tried, reverse=True)[:_FINALISTS]:
-        if members.has(seeds[index]):
-            continue
+            same = arc.frames.tobytes() + arc.chosen.tobytes()
+            score = tried[same][0] if same in tried else _score(table, arc)
+            tried[same] = (score, index)
+    for _, index in sorted(tried.values(), reverse=True)[:_FINALISTS]:
         arc = _grow(table, seeds[index], 4)
         if arc is not None:
-            members.add(arc)
             yield arc
-
-
-class _Members:
-    """Which candidates are part of an arc, of the latest one each."""
-
-    def __init__(self, table: Candidates) -> None:
-        self._arc_of = np.full(table.areas_px.shape, -1)
-        self._arcs = 0
-
-    def add(self, arc: Arc) -> None:
-        """An arc that was found."""
-        self._arc_of[arc.frames, arc.chosen] = self._arcs
-        self._arcs += 1
-
-    def has(self, seed: Index) -> bool:
-        """Whether one arc has all of a triple."""
-        first, second, third = self._arc_of[seed[:3], seed[3:]].tolist()
-        return first == second == third >= 0
 
 
 def _grow(table: Candidates, seed: Index, rounds: int) -> Arc | None:
@@ -167,12 +143,16 @@ def _grow(table: Candidates, seed: Index, rounds: int) -> Arc | None:
         window = np.arange(low, high)
         times = (table.seconds[window] - middle)[:, None]
         expected = curve[0] * times**2 + curve[1] * times + curve[2]
-        off = np.linalg.norm(table.places_px[window] - expected[:, None], axis=2)
-        alike = np.linalg.norm(table.colours[window] - colour, axis=2) < COLOUR_APART
-        alike &= np.abs(np.log(table.areas_px[window] / area)) < np.log(2 * AREA_RATIO)
-        off = np.where(alike & np.isfinite(off), off, np.inf)
-        nearest = off.argmin(axis=1)
-        hit = off[np.arange(len(window)), nearest] < tolerance
+        apart = table.places_px[low:high] - expected[:, None]
+        off = np.hypot(apart[:, :, 0], apart[:, :, 1])
+        row, one = np.nonzero(off < tolerance)  # NaN is not
+        there = window[row], one
+        alike = np.linalg.norm(table.colours[there] - colour, axis=1) < COLOUR_APART
+        alike &= np.abs(np.log(table.areas_px[there] / area)) < np.log(2 * AREA_RATIO)
+        near = np.full(off.shape, np.inf)
+        near[row[alike], one[alike]] = off[row[alike], one[alike]]
+        nearest = near.argmin(axis=1)
+        hit = np.isfinite(near[np.arange(len(window)), nearest])
         begin = end = int(np.searchsorted(window, frames[len(frames) // 2]))
         misses = 0
         while begin > 0 and misses < _MOST_MISSES:

@@ -20,11 +20,8 @@ _SURE = 0.3
 _MOST_BLOBS = 3
 """Of the ball's colour, that a fit may start from."""
 
-_MOST_STARTS = 3
+_MOST_STARTS = 5
 """Of what looks like the ball anywhere, that a fit starts from: each costs some milliseconds."""
-
-_SEARCHED_EVERY = 3
-"""Pictures in which it is not where it is expected: in one of so many it is looked for anywhere."""
 
 _GROWN = (0.65, 1.5)
 """Least and most of such a start's radius over the ball's: a blob may be cut, or have grown
@@ -63,8 +60,6 @@ class BallDetector:
     ) -> None:
         self._background, self._ball, self._allowed = background, ball, allowed
         self._appearance = appearance
-        self._before: Placing | None = None
-        self._unsearched = 0
 
     def find(self, picture: Picture, expected_px: Array, still_px: Array) -> Blobs:
         """Candidates in the next picture: the ball where it is expected, else all like it.
@@ -77,42 +72,16 @@ class BallDetector:
         if self._appearance is None:
             return coloured_blobs(picture, self._background, self._ball, self._allowed)
         placer = _Placer(picture, self._background, self._appearance, self._allowed)
-        is_due = self._unsearched + 1 >= _SEARCHED_EVERY
-        if np.isnan(still_px[0]) or not self._stays(placer, is_due=is_due):
-            self._look_for_it(placer, picture, expected_px, still_px, is_due=is_due)
-        self._unsearched += 1
-        self._before = min(placer.placed, key=lambda fit: fit.misfit, default=None)
-        return placer.blobs()
-
-    def _stays(self, placer: _Placer, *, is_due: bool) -> bool:
-        """Whether a ball that was not clear is where it was, no less clear; it is placed there."""
-        before = self._before
-        return (
-            before is not None and before.misfit > _SURE and not is_due and placer.fit_again(before)
-        )
-
-    def _look_for_it(
-        self,
-        placer: _Placer,
-        picture: Picture,
-        expected_px: Array,
-        still_px: Array,
-        *,
-        is_due: bool,
-    ) -> None:
-        """Place it where it is expected, from time to time wherever something looks like it."""
-        assert self._appearance is not None
         around = [(float(x), float(y)) for x, y in (expected_px, still_px) if np.isfinite(x)]
         if len(around) > 1 and math.dist(*around) < self._appearance.radius_px:
             del around[1]
         placer.fit_from([(x, y, 1.0) for x, y in around])
-        was_sure = self._before is not None and self._before.misfit < _SURE
-        if not placer.is_sure and (was_sure or is_due):
-            self._unsearched = -1
+        if not placer.is_sure:
             like = [
                 (*at, 1.0) for near in around for at in _alike(self._appearance, picture, *near)
             ]
             placer.fit_from([*like, *self._coloured(picture)], _MOST_STARTS)
+        return placer.blobs()
 
     def _coloured(self, picture: Picture) -> list[tuple[float, float, float]]:
         """Where blobs of its colour are, the most alike first: x, y [px], and how much grown."""
@@ -169,17 +138,6 @@ class _Placer:
                 self.placed.append(fit)
             if self.is_sure:
                 break
-
-    def fit_again(self, before: Placing) -> bool:
-        """Fit the ball where it was in the picture before; whether it is as clear as there."""
-        start = self._appearance.start(
-            self._picture, self._background, self._gain, before.x, before.y
-        )
-        fit = None if start is None else self._appearance.place_again(start)
-        if fit is None or not self._is_allowed(fit) or fit.misfit > before.misfit:
-            return False
-        self.placed.append(fit)
-        return True
 
     def _is_allowed(self, fit: Placing) -> bool:
         if self._allowed is None:

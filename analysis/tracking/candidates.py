@@ -161,10 +161,13 @@ def coloured_blobs(
     mask = difference > background.threshold // 2 + 3  # the colour decides: noise may pass
     if allowed is not None:
         mask &= allowed.astype(bool)
-    still = background.picture[mask].astype(np.float32)
-    off = picture[mask].astype(np.float32) - still
+    there = np.flatnonzero(mask)  # several times as quick as the mask itself
+    still = background.picture.reshape(-1, 3)[there].astype(np.float32)
+    off = picture.reshape(-1, 3)[there].astype(np.float32) - still
     fraction = np.zeros(mask.shape, np.float32)
-    fraction[mask] = _ball_fraction(off, ball.colour.astype(np.float32) - still, -still)
+    fraction.reshape(-1)[there] = _ball_fraction(
+        off, ball.colour.astype(np.float32) - still, -still
+    )
     solid = (fraction > _SOLID_FRACTION).astype(np.uint8)
     return _components(picture, solid, fraction)
 
@@ -196,10 +199,18 @@ def _ball_fraction(
     off: NDArray[np.float32], towards: NDArray[np.float32], shade: NDArray[np.float32]
 ) -> NDArray[np.float32]:
     """Non-negative least squares of two columns, pixel by pixel, clipped to [0, 1]."""
-    aa = (towards**2).sum(axis=1) + 1.0
-    bb = (shade**2).sum(axis=1) + 1.0
-    ab = (towards * shade).sum(axis=1)
-    ya, yb = (off * towards).sum(axis=1), (off * shade).sum(axis=1)
+    aa, bb, ab, ya, yb = (
+        np.einsum("ij,ij->i", first, second)
+        for first, second in (
+            (towards, towards),
+            (shade, shade),
+            (towards, shade),
+            (off, towards),
+            (off, shade),
+        )
+    )
+    aa += np.float32(1.0)
+    bb += np.float32(1.0)
     determinant = np.maximum(aa * bb - ab**2, 1e-3 * aa * bb)
     fraction = (ya * bb - yb * ab) / determinant
     shadow = (yb * aa - ya * ab) / determinant
