@@ -54,7 +54,8 @@ def write_overview(columns: Columns, path: Path) -> None:
     orders = _orders(columns, values, len(logs))
     outliers = {name: _unlike(values[name]) for name in names}
     recording = rr.RecordingStream("tunenet-logs overview", recording_id="overview")
-    recording.save(path, default_blueprint=_blueprint(names, columns))
+    memory = recording.memory_recording()  # its own file sink waits for ever on a full disk
+    recording.send_blueprint(_blueprint(names, columns))
     for name in names:
         _draw(recording, name, columns, verdicts, outliers[name], orders)
     if "fit_excess_percent" in columns:
@@ -66,6 +67,7 @@ def write_overview(columns: Columns, path: Path) -> None:
     document = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
     recording.log("summary", document, static=True)
     recording.flush()
+    path.write_bytes(memory.drain_as_bytes())
     recording.disconnect()
 
 
