@@ -88,9 +88,10 @@ def rates(folder: Path, out: Path) -> dict[str, Any]:
         "two processes": Timed(partial(streamed, jobs=2)),
     }
     if find_spec("ray"):
-        from analysis.batch.ray_cluster import HERE, on_ray
+        from analysis.batch.ray_cluster import on_ray
+        from analysis.cluster import HERE, Cluster
 
-        ways["two workers of Ray"] = Timed(partial(on_ray, HERE, 2))
+        ways["two workers of Ray"] = Timed(partial(on_ray, Cluster(HERE, 2)))
     writing = Writing(reviewed=frozenset())
     figures: dict[str, Any] = {}
     for name, way in ways.items():
