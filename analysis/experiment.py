@@ -14,7 +14,7 @@ from analysis.record import Rebound
 from analysis.selection import Selection
 from analysis.tunenet.checkpoint import Purpose
 from analysis.tunenet.network import Network
-from analysis.tunenet.pairs import PairSet
+from analysis.tunenet.pairs import PairSet, Workers
 from analysis.tunenet.training import Recipe
 from recorders.simulators.base import Parameter
 from tunenet_logs.arrays import Array
@@ -68,13 +68,13 @@ class Training:
         purpose: what its weights are for.
         network: its architecture.
         recipe: how it is trained.
-        make_pairs: (pairs wanted or None, seed, processes or None, progress) -> training data.
+        make_pairs: (pairs wanted or None, seed, workers, progress) -> training data.
     """
 
     purpose: Purpose
     network: Network
     recipe: Recipe
-    make_pairs: Callable[[int | None, int, int | None, Progress], PairSet]
+    make_pairs: Callable[[int | None, int, Workers, Progress], PairSet]
 
 
 @dataclass(frozen=True)

@@ -82,35 +82,44 @@ class Timed:
 
 def rates(folder: Path, out: Path) -> dict[str, Any]:
     """Logs a second by one process, by two, by two of Ray's."""
-    found = find_logs([folder]).logs
+    logs = find_logs([folder]).logs
     ways: dict[str, Timed] = {
         "one process": Timed(partial(streamed, jobs=1)),
         "two processes": Timed(partial(streamed, jobs=2)),
     }
     if find_spec("ray"):
-        from analysis.batch.ray_cluster import HERE, on_ray
+        from analysis.batch.ray_cluster import on_ray
+        from analysis.cluster import HERE, Cluster
 
-        ways["two workers of Ray"] = Timed(partial(on_ray, HERE, 2))
+        ways["two workers of Ray"] = Timed(partial(on_ray, Cluster(HERE, 2)))
     writing = Writing(reviewed=frozenset())
-    figures: dict[str, Any] = {}
+    found: dict[str, Any] = {}
     for name, way in ways.items():
         place = out / name.replace(" ", "_")
-        order = Order(found, writing=writing, folder=place, keeps_ledger=True)
+        order = Order(logs, writing=writing, folder=place, keeps_ledger=True)
         batch = run_batch(order, Progress(quiet=True), way)
-        figures[name] = {
+        found[name] = {
             "logs_a_second": round(way.rate, 1),
             "largest_worker_mb": round(way.resident_mb),
             "verdicts": dict(batch.verdicts),
         }
         print(f"{name:20} {way.rate:6.1f} logs a second, largest worker {way.resident_mb:.0f} MB")
-    one, two = (figures[name]["logs_a_second"] for name in ("one process", "two processes"))
-    figures["two_against_one"] = round(two / one, 2)
+    one, two = (found[name]["logs_a_second"] for name in ("one process", "two processes"))
+    found["two_against_one"] = round(two / one, 2)
     print(f"two processes against one: {two / one:.2f}")
-    if "two workers of Ray" in figures:
-        ratio = figures["two workers of Ray"]["logs_a_second"] / two
-        figures["ray_against_processes"] = round(ratio, 2)
+    if "two workers of Ray" in found:
+        ratio = found["two workers of Ray"]["logs_a_second"] / two
+        found["ray_against_processes"] = round(ratio, 2)
         print(f"Ray against processes: {ratio:.2f}")
-    return figures
+    return found
+
+
+def figures(count: int = 2000) -> dict[str, Any]:
+    """See `rates`, of so many logs."""
+    with tempfile.TemporaryDirectory() as made:
+        folder = Path(made) / "logs"
+        make_logs(folder, count)
+        return rates(folder, Path(made))
 
 
 def killed(folder: Path, out: Path, kills: int) -> dict[str, Any]:
@@ -136,7 +145,7 @@ def killed(folder: Path, out: Path, kills: int) -> dict[str, Any]:
     rows = _rows(out)
     names = Counter(row["log"] for row in rows)
     wanted = {str(path.resolve()) for path in folder.iterdir()}
-    figures = {
+    found = {
         "kills": kills - left,
         "starts": starts,
         "logs": len(wanted),
@@ -145,8 +154,8 @@ def killed(folder: Path, out: Path, kills: int) -> dict[str, Any]:
         "not_done": sum(row["error"] is not None for row in rows),
         "verdicts": dict(Counter(row["verdict"] for row in rows)),
     }
-    print(", ".join(f"{name} {value}" for name, value in figures.items()))
-    return figures
+    print(", ".join(f"{name} {value}" for name, value in found.items()))
+    return found
 
 
 def _rows(out: Path) -> list[dict[str, Any]]:
@@ -186,15 +195,15 @@ def main() -> None:
     parser.add_argument("--kills", type=int, default=0)
     parser.add_argument("--json", type=Path, help="also write the figures to this file")
     arguments = parser.parse_args()
-    with tempfile.TemporaryDirectory() as made:
-        folder = Path(made) / "logs"
-        make_logs(folder, arguments.count)
-        if arguments.kills:
-            figures = killed(folder, Path(made) / "out", arguments.kills)
-        else:
-            figures = rates(folder, Path(made))
+    if arguments.kills:
+        with tempfile.TemporaryDirectory() as made:
+            folder = Path(made) / "logs"
+            make_logs(folder, arguments.count)
+            found = killed(folder, Path(made) / "out", arguments.kills)
+    else:
+        found = figures(arguments.count)
     if arguments.json:
-        arguments.json.write_text(json.dumps(figures, indent=1) + "\n")
+        arguments.json.write_text(json.dumps(found, indent=1) + "\n")
 
 
 if __name__ == "__main__":

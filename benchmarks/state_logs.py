@@ -14,6 +14,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from mcap.reader import make_reader
@@ -96,12 +97,9 @@ def _resident_mb() -> float:
     return pages * 4096 / 1e6
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--count", type=int, default=200)
-    parser.add_argument("--json", type=Path, help="also write the figures to this file")
-    arguments = parser.parse_args()
-    count = max(arguments.count, 4)
+def figures(count: int = 200) -> dict[str, Any]:
+    """Logs a CPU second, what they cost over the least, and the memory of one process."""
+    count = max(count, 4)
     with tempfile.TemporaryDirectory() as folder:
         logs = [Path(folder) / f"{index:05}.mcap" for index in range(count)]
         for index, log in enumerate(logs):
@@ -115,18 +113,27 @@ def main() -> None:
             spent_s += time.process_time() - start_s
             floor_s += least_s(log, tuning)
             if done in (count // 4, count // 2, count):
-                memory_mb[done] = round(_resident_mb(), 1)
-    figures = {
+                memory_mb[str(done)] = round(_resident_mb(), 1)
+    found = {
         "logs": count,
         "logs_a_cpu_second": round(count / spent_s, 1),
         "times_the_least": round(spent_s / floor_s, 2),
         "resident_mb": memory_mb,
     }
-    print(f"{figures['logs_a_cpu_second']} logs a CPU second ({1e3 * spent_s / count:.1f} ms each)")
-    print(f"{figures['times_the_least']} times bare reading, K + 2 rollouts and the fit alone")
+    print(f"{found['logs_a_cpu_second']} logs a CPU second ({1e3 * spent_s / count:.1f} ms each)")
+    print(f"{found['times_the_least']} times bare reading, K + 2 rollouts and the fit alone")
     print("resident memory:", ", ".join(f"{mb} MB after {n}" for n, mb in memory_mb.items()))
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=200)
+    parser.add_argument("--json", type=Path, help="also write the figures to this file")
+    arguments = parser.parse_args()
+    found = figures(arguments.count)
     if arguments.json:
-        arguments.json.write_text(json.dumps(figures, indent=1) + "\n")
+        arguments.json.write_text(json.dumps(found, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -37,11 +37,12 @@ QUIET = Progress(quiet=True)
 Round = tuple[float, float, float, float, float]
 
 
-def main() -> None:
+def figures(rounds: int = ROUNDS) -> dict[str, Any]:
+    """Seconds and ratios of the round whose ratio is the median."""
     jobs = len(os.sched_getaffinity(0))
     loading_s, _ = timed(load_torch)
-    rounds = sorted((one_round(jobs) for _ in range(ROUNDS)), key=ratio)
-    starting_s, whole_s, stepping_s, training_s, optimizing_s = rounds[ROUNDS // 2]
+    done = sorted((one_round(jobs) for _ in range(rounds)), key=ratio)
+    starting_s, whole_s, stepping_s, training_s, optimizing_s = done[rounds // 2]
     data_s = whole_s - starting_s
     ours_s, bare_s = data_s + training_s, stepping_s + optimizing_s
     print(
@@ -52,6 +53,12 @@ def main() -> None:
     print(line(f"training, {epochs} epochs", training_s, optimizing_s, "the optimizer's steps"))
     print(line("data and training", ours_s, bare_s, "both"))
     print(f"wanted: at most {MOST_S:g} s on 2 idle cores, and at most {MOST_RATIO:g} times")
+    return {
+        "seconds": round(ours_s, 2),
+        "data_times_stepping": round(data_s / stepping_s, 3),
+        "training_times_optimizer": round(training_s / optimizing_s, 3),
+        "both_times_bare": round(ours_s / bare_s, 3),
+    }
 
 
 def line(what: str, ours_s: float, bare_s: float, bare: str) -> str:
@@ -75,7 +82,7 @@ def one_round(jobs: int) -> Round:
     # One rollout each: all the rest of it is loading and starting.
     starting_s, _ = timed(lambda: PRESET.make_pairs((jobs + 1) // 2, 0, jobs, QUIET))
     whole_s, pairs = timed(lambda: PRESET.make_pairs(PAIRS, 0, jobs, QUIET))
-    stepping_s = bare_stepping_s(jobs)
+    stepping_s = bare_stepping_s(jobs, 2 * PAIRS)
     training_s, _ = timed(lambda: train(PRESET.network, pairs, PRESET.recipe, 0, QUIET))
     return starting_s, whole_s, stepping_s, training_s, bare_optimizing_s()
 
@@ -88,12 +95,12 @@ def load_torch() -> None:
     torch.optim.SGD([torch.zeros(1, requires_grad=True)], lr=0.1)
 
 
-def bare_stepping_s(jobs: int) -> float:
-    """Of the slowest of the processes, which start together."""
+def bare_stepping_s(jobs: int, rollouts: int) -> float:
+    """Of the slowest of the processes, which start together and share the rollouts."""
     context = get_context("spawn")
     ready = context.Barrier(jobs)
     with context.Pool(jobs, initializer=_wait_for_all, initargs=(ready,)) as pool:
-        return max(pool.map(_step_bare_world, [2 * PAIRS // jobs] * jobs, chunksize=1))
+        return max(pool.map(_step_bare_world, [rollouts // jobs] * jobs, chunksize=1))
 
 
 def _wait_for_all(ready: Barrier) -> None:
@@ -155,4 +162,4 @@ def bare_optimizing_s() -> float:
 
 
 if __name__ == "__main__":
-    main()
+    figures()

@@ -1,55 +1,28 @@
-"""The same work on the machines of a Ray cluster, by Ray Data: an actor a core, models loaded once.
-
-What an actor that dies had under way is done again, each log alone, and once.
-"""
+"""Logs tuned on a Ray cluster: every machine reads and writes by the same paths."""
 
 from __future__ import annotations
 
-import os
-import socket
-import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import partial
-from typing import Any
-
-import numpy as np
 
 from analysis.batch.one_log import Result, Work
-from recorders.simulators.engines import ENGINE_VARIABLE
-from tunenet_logs.commandline import BLAS_THREADS
-from tunenet_logs.errors import TuneNetError, UsageError
+from analysis.cluster import Cluster, on_cluster
 from tunenet_logs.regular_file import real_path
-
-_AT_A_TIME = 16
-"""Logs that an actor is given: a task of Ray's costs some milliseconds."""
-
-_TASKS_AN_ACTOR = 4
-"""Fewer logs are given where there would be fewer tasks for each actor."""
-
-_ANSWERS_S = 10
-"""Within which a cluster's head takes a call."""
-
-HERE = "local"
-"""The address of a cluster that is started on this machine for the batch."""
 
 
 def on_ray(
-    address: str,
-    jobs: int | None,
+    cluster: Cluster,
     work: Callable[[Work], Result],
     items: Sequence[Work],
     lost: Callable[[Work], Result],
 ) -> Iterator[tuple[int, Result]]:
-    """Do `work` on every item in a cluster; see `processes.streamed`.
+    """Do `work` on every log in a cluster; see `cluster.on_cluster`.
 
     Args:
-        address: of its head, "auto" for the one that this machine is part of, or `HERE`.
-        jobs: actors; None for all cores of the cluster.
+        cluster: where.
         work: reads logs and writes results by paths that every machine sees.
-        items: what is to be done.
-        lost: the result of an item whose actor died twice.
+        items: what is to be done; an actor's folder is not this one, so its paths become absolute.
+        lost: the result of a log whose actor died twice.
 
     Raises:
         UsageError: Ray is not installed, nobody answers at the address, or the options fit no log.
@@ -60,117 +33,4 @@ def on_ray(
         else Work(real_path(item.log), real_path(item.name))
         for item in items
     ]
-    left = set(range(len(items)))
-    with _cluster(address, jobs) as actors:
-        at_a_time = max(1, min(_AT_A_TIME, len(items) // (actors * _TASKS_AN_ACTOR)))
-        for many in (at_a_time, 1):
-            rows = [{"number": at, "work": absolute[at]} for at in sorted(left)]
-            for at, result in _streamed(work, rows, min(actors, max(1, len(rows))), many):
-                if at in left:
-                    left.remove(at)
-                    yield at, result
-            if not left:
-                break
-        for at in sorted(left):
-            yield at, lost(items[at])
-
-
-def _streamed(
-    work: Callable[[Work], Result], rows: list[dict[str, Any]], actors: int, at_a_time: int
-) -> Iterator[tuple[int, Result]]:
-    """What the actors give; nothing of those that die."""
-    import ray.data
-
-    if not rows:
-        return
-    blocks = -(-len(rows) // at_a_time)
-    given = ray.data.from_items(rows, override_num_blocks=blocks)
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "`ray_remote_args_fn` is deprecated")  # nothing else yet
-        done = given.map_batches(
-            _Tuner,
-            fn_constructor_args=(work,),
-            concurrency=actors,
-            batch_size=None,
-            batch_format="numpy",
-            num_cpus=1,
-            ray_remote_args_fn=_remote,
-        )
-    for batch in done.iter_batches(batch_size=None, batch_format="numpy", prefetch_batches=0):
-        for at, result in zip(batch["number"].tolist(), batch["result"], strict=True):
-            if isinstance(result, TuneNetError):
-                raise result
-            yield at, result
-
-
-def _remote() -> dict[str, Any]:
-    """How Ray treats an actor: a new one for one that dies, but nothing is done again unasked."""
-    return {"max_restarts": -1, "max_task_retries": 0}
-
-
-class _Tuner:
-    """An actor: libraries and models are loaded once in it, by the first log."""
-
-    def __init__(self, work: Callable[[Work], Result]) -> None:
-        self._work = work
-
-    def __call__(self, batch: Mapping[str, Any]) -> dict[str, Any]:
-        """Results by number; an error of the options stands for a result."""
-        results = np.empty(len(batch["work"]), object)
-        for at, item in enumerate(batch["work"]):
-            try:
-                results[at] = self._work(item)
-            except TuneNetError as error:
-                results[at] = error
-        return {"number": batch["number"], "result": results}
-
-
-@contextmanager
-def _cluster(address: str, jobs: int | None) -> Iterator[int]:
-    """A cluster to work in, and for how many actors it has cores.
-
-    Raises:
-        UsageError: there is none.
-    """
-    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
-    os.environ.setdefault("RAY_DEDUP_LOGS", "0")
-    try:
-        import ray
-        import ray.data
-    except ImportError as error:
-        raise UsageError(
-            f"--ray needs Ray ({error}); install the extra: pip install 'tunenet-logs[cluster]'"
-        ) from error
-    import logging
-
-    variables: dict[str, str] = dict.fromkeys(BLAS_THREADS, "1")
-    if ENGINE_VARIABLE in os.environ:
-        variables[ENGINE_VARIABLE] = os.environ[ENGINE_VARIABLE]
-    begin = partial(
-        ray.init,
-        runtime_env={"env_vars": variables},
-        include_dashboard=False if address == HERE else None,
-        logging_level=logging.ERROR,
-        log_to_driver=False,
-        configure_logging=True,
-    )
-    try:
-        if ":" in address:  # Ray itself tries for minutes, and then ends the process
-            host, _, port = address.removeprefix("ray://").rpartition(":")
-            socket.create_connection((host, int(port)), _ANSWERS_S).close()
-        if address == HERE:
-            begin(address=HERE, num_cpus=jobs or len(os.sched_getaffinity(0)))
-        else:
-            begin(address=address)
-    except (OSError, OverflowError, ValueError, RuntimeError) as error:
-        raise UsageError(f"--ray {address}: no cluster answers ({error})") from error
-    context = ray.data.DataContext.get_current()
-    context.max_errored_blocks = -1
-    context.enable_progress_bars = False
-    context.print_on_execution_start = False
-    logging.getLogger("ray.data").setLevel(logging.CRITICAL)
-    try:
-        cores = int(ray.cluster_resources().get("CPU", 1))
-        yield max(1, min(cores, jobs or cores))
-    finally:
-        ray.shutdown()
+    return on_cluster(cluster, work, absolute, lost)

@@ -38,6 +38,27 @@ def jobs_option(parser: argparse.ArgumentParser, what: str) -> None:
     )
 
 
+def ray_option(parser: argparse._ActionsContainer, what: str) -> None:
+    """`--ray`: `what` on a cluster."""
+    parser.add_argument(
+        "--ray",
+        nargs="?",
+        const="local",
+        type=_cluster,
+        metavar="ADDRESS",
+        help=f"{what} on a Ray cluster, by its head's address HOST:PORT, or auto; without one, on "
+        "a cluster that is started here",
+    )
+
+
+def _cluster(text: str) -> str:
+    """The address of a Ray cluster; a log behind `--ray` is none."""
+    host, _, port = text.removeprefix("ray://").rpartition(":")
+    if text not in ("local", "auto") and not (host and port.isdecimal()):
+        raise argparse.ArgumentTypeError(f"{text!r} is no HOST:PORT; write logs before --ray")
+    return text
+
+
 def ball_options(group: argparse._ArgumentGroup) -> None:
     """Add the options that say what was dropped."""
     add = group.add_argument

@@ -8,7 +8,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from analysis.cli.options import jobs_option, preset_option
+from analysis.cli.options import jobs_option, preset_option, ray_option
 from analysis.registry import EXPERIMENTS, experiment_named
 from recorders.engine_option import engine_option, in_engine
 from tunenet_logs.commandline import Parser, run, whole
@@ -27,6 +27,7 @@ _EXAMPLES = """\
   tunenet-train drop-video -o film.safetensors       (a minute on two cores)
   tunenet-train payload -o payload.safetensors
   tunenet-train drop --preset paper-code --seed 3 -o paper-code-3.safetensors
+  tunenet-train drop --ray 10.0.0.5:6379 -o drop.safetensors   (extra 'cluster')
   tunenet-tune drop.mcap --weights drop.safetensors"""
 
 _HELD_OUT = 100
@@ -66,6 +67,7 @@ def build_parser() -> Parser:
         help="for data and training (default: 0)",
     )
     jobs_option(parser, "processes that simulate")
+    ray_option(parser, "simulate")
     add("--overwrite", action="store_true", help="replace existing weights")
     add("--quiet", action="store_true", help="no progress bar")
     return parser
@@ -89,6 +91,7 @@ def _train(arguments: argparse.Namespace) -> int:
 
     needed("torch", extra="train")  # loading it is start-up, not training
 
+    from analysis.cluster import Cluster
     from analysis.tunenet.checkpoint import save_model
     from analysis.tunenet.training import one_step_error, train
     from recorders.simulators.engines import engine
@@ -102,7 +105,9 @@ def _train(arguments: argparse.Namespace) -> int:
         raise UsageError(f"{arguments.task} has no network under the preset {arguments.preset}")
     progress = Progress(quiet=arguments.quiet)
     start = time.perf_counter()
-    pairs = training.make_pairs(arguments.pairs, arguments.seed, arguments.jobs, progress)
+    here = arguments.ray is None
+    workers = arguments.jobs if here else Cluster(arguments.ray, arguments.jobs)
+    pairs = training.make_pairs(arguments.pairs, arguments.seed, workers, progress)
     simulated = time.perf_counter()
     recipe = training.recipe
     if arguments.epochs is not None:
@@ -122,7 +127,8 @@ def _train(arguments: argparse.Namespace) -> int:
         f"{len(pairs.proposed)} pairs x {recipe.epochs} epochs in {trained - simulated:.1f} s, "
         f"{trained - start:.1f} s in all; sha256 {digest}"
     )
-    held_out = training.make_pairs(_HELD_OUT, arguments.seed + 1_000_003, arguments.jobs, progress)
+    few = arguments.jobs if here else 1  # a cluster takes longer to begin
+    held_out = training.make_pairs(_HELD_OUT, arguments.seed + 1_000_003, few, progress)
     error = one_step_error(model, held_out)
     print(f"one step on {_HELD_OUT} fresh pairs: mean absolute error {error:.5f}")
     return 0

@@ -91,8 +91,9 @@ def _tune(arguments: argparse.Namespace) -> int:
     stream = None
     if arguments.ray is not None:
         from analysis.batch.ray_cluster import on_ray
+        from analysis.cluster import Cluster
 
-        stream = partial(on_ray, arguments.ray, arguments.jobs)
+        stream = partial(on_ray, Cluster(arguments.ray, arguments.jobs))
     batch = run_batch(
         order, progress, stream, arguments.jobs, after=partial(closing, order, arguments.csv)
     )

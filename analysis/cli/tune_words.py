@@ -5,7 +5,13 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from analysis.cli.options import arm_options, ball_options, jobs_option, preset_option
+from analysis.cli.options import (
+    arm_options,
+    ball_options,
+    jobs_option,
+    preset_option,
+    ray_option,
+)
 from analysis.registry import METHODS, kinds
 from recorders.engine_option import engine_option
 from tunenet_logs.commandline import Parser, number, reading_options, whole
@@ -126,15 +132,7 @@ def _batch_options(group: argparse._ArgumentGroup) -> None:
         "same options",
     )
     add("--csv", type=Path, metavar="FILE", help="also write the ledger as a text table")
-    add(
-        "--ray",
-        nargs="?",
-        const="local",
-        type=_cluster,
-        metavar="ADDRESS",
-        help="work on a Ray cluster, by its head's address HOST:PORT, or auto; without one, on a "
-        "cluster that is started here",
-    )
+    ray_option(group, "work")
     reviews = group.add_mutually_exclusive_group()
     reviews.add_argument("--no-review", action="store_true", help="write no NAME.rrd")
     reviews.add_argument(
@@ -172,14 +170,6 @@ def _picture_options(group: argparse._ArgumentGroup) -> None:
 def _named(text: str) -> Path | str:
     """A log's path, or its address."""
     return text if "://" in text else Path(text)
-
-
-def _cluster(text: str) -> str:
-    """The address of a Ray cluster; a log behind `--ray` is none."""
-    host, _, port = text.removeprefix("ray://").rpartition(":")
-    if text not in ("local", "auto") and not (host and port.isdecimal()):
-        raise argparse.ArgumentTypeError(f"{text!r} is no HOST:PORT; write logs before --ray")
-    return text
 
 
 def _numbers(text: str, count: int, what: str) -> tuple[float, ...]:

@@ -12,7 +12,7 @@ from analysis.drop.presets import TRAININGS as DROP_TRAININGS
 from analysis.experiment import Training, presets_of
 from analysis.tunenet.checkpoint import Purpose
 from analysis.tunenet.network import PaperNetwork
-from analysis.tunenet.pairs import PairSet, consecutive_pairs, observe_all
+from analysis.tunenet.pairs import PairSet, Workers, consecutive_pairs, observe_all
 from recorders.simulators.contact import PAPER
 from recorders.simulators.drop import REAL_BALL, RESTITUTION, TOPIC, DropRig, DropSimulator
 from recorders.simulators.pinhole import PinholeCamera
@@ -74,7 +74,7 @@ def _paper_camera(rng: np.random.Generator) -> PinholeCamera:
     return PinholeCamera(place, (0.0, 0.0, 2.0), PAPER_SIZE_PX, _PAPER_FOV_DEG)
 
 
-def _paper_pairs(count: int | None, seed: int, jobs: int | None, progress: Progress) -> PairSet:
+def _paper_pairs(count: int | None, seed: int, workers: Workers, progress: Progress) -> PairSet:
     """Both rollouts of a pair from one height; the second one is filmed."""
     count = count or _PAPER_PAIRS
     rng = np.random.default_rng(seed)
@@ -85,7 +85,7 @@ def _paper_pairs(count: int | None, seed: int, jobs: int | None, progress: Progr
         plans.append((rig, float(rng.uniform(*PAPER_RESTITUTION)), None))
         value, camera = float(rng.uniform(*PAPER_RESTITUTION)), int(rng.integers(2**62))
         plans.append((rig, value, camera))
-    observations = observe_all(_observe_paper_plans, plans, jobs, progress)
+    observations = observe_all(_observe_paper_plans, plans, workers, progress)
     values = np.array([[restitution] for _, restitution, _ in plans])
     return PairSet(observations, values, *consecutive_pairs(count))
 

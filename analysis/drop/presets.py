@@ -12,7 +12,13 @@ from analysis.drop import observations as views
 from analysis.experiment import Training, presets_of
 from analysis.tunenet.checkpoint import Purpose
 from analysis.tunenet.network import PaperNetwork, WideNetwork
-from analysis.tunenet.pairs import PairSet, consecutive_pairs, mixed_pairs, observe_all
+from analysis.tunenet.pairs import (
+    PairSet,
+    Workers,
+    consecutive_pairs,
+    mixed_pairs,
+    observe_all,
+)
 from analysis.tunenet.training import Recipe
 from recorders.simulators.base import BallWorld
 from recorders.simulators.contact import CALIBRATED, PAPER, ContactSettings
@@ -64,14 +70,14 @@ def _observe_plans(plans: Sequence[Plan]) -> Array:
 
 
 def observe_paper_drops(
-    releases_m: Array, restitutions: Array, jobs: int | None, progress: Progress
+    releases_m: Array, restitutions: Array, workers: Workers, progress: Progress
 ) -> Array:
     """Rollouts of the paper's simulator as its network sees them, shape (N, 400, 1).
 
     Args:
         releases_m: heights of the ball's centre, shape (N,).
         restitutions: shape (N,).
-        jobs: processes; None for all cores.
+        workers: who make them.
         progress: where to show it.
     """
     radius = views.PAPER_RADIUS_M
@@ -83,20 +89,20 @@ def observe_paper_drops(
         )
         for height, value in zip(releases_m, restitutions, strict=True)
     ]
-    return observe_all(_observe_plans, plans, jobs, progress)
+    return observe_all(_observe_plans, plans, workers, progress)
 
 
-def _paper_pairs(count: int | None, seed: int, jobs: int | None, progress: Progress) -> PairSet:
+def _paper_pairs(count: int | None, seed: int, workers: Workers, progress: Progress) -> PairSet:
     """Both rollouts of a pair from one height, U(4, 5) m; restitutions U(.3, .7)."""
     count = count or _PAPER_PAIRS
     rng = np.random.default_rng(seed)
     heights = np.repeat(rng.uniform(*PAPER_HEIGHT_M, count), 2)
     values = rng.uniform(*PAPER_RESTITUTION, 2 * count)
-    observations = observe_paper_drops(heights, values, jobs, progress)
+    observations = observe_paper_drops(heights, values, workers, progress)
     return PairSet(observations, values[:, None], *consecutive_pairs(count))
 
 
-def _canonical_pairs(count: int | None, seed: int, jobs: int | None, progress: Progress) -> PairSet:
+def _canonical_pairs(count: int | None, seed: int, workers: Workers, progress: Progress) -> PairSet:
     """Real balls, evenly over their ranges; any rig will do, so heights and rates vary."""
     count = count or _PAIRS
     rollouts = min(_ROLLOUTS, 2 * count)
@@ -114,7 +120,7 @@ def _canonical_pairs(count: int | None, seed: int, jobs: int | None, progress: P
         rig = DropRig(float(gap), rate_hz=float(rate), samples=samples, hold_s=rng.random() / rate)
         ball = {RESTITUTION.name: restitution, SLOPE.name: slope, DRAG.name: drag / float(gap)}
         plans.append((rig, CALIBRATED, ball))
-    observations = observe_all(_observe_plans, plans, jobs, progress)
+    observations = observe_all(_observe_plans, plans, workers, progress)
     return PairSet(observations, values, *mixed_pairs(values, count, rng))
 
 

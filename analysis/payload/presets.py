@@ -13,7 +13,7 @@ from analysis.estimators.base import Observation
 from analysis.experiment import Training, presets_of
 from analysis.tunenet.checkpoint import Purpose
 from analysis.tunenet.network import HomogeneousNetwork, PaperNetwork
-from analysis.tunenet.pairs import PairSet, consecutive_pairs, observe_all
+from analysis.tunenet.pairs import PairSet, Workers, consecutive_pairs, observe_all
 from analysis.tunenet.training import Recipe
 from recorders.simulators.arm.description import Payload, jaco
 from recorders.simulators.arm.dynamics import joint_efforts_nm
@@ -160,15 +160,15 @@ def _observe_paths(plans: Sequence[tuple[int, tuple[float, ...]]]) -> Array:
     return np.array(found)
 
 
-def _paper_pairs(count: int | None, seed: int, jobs: int | None, progress: Progress) -> PairSet:
+def _paper_pairs(count: int | None, seed: int, workers: Workers, progress: Progress) -> PairSet:
     """Two circles a pair, masses U(0, 1) kg."""
     count = count or _PAPER_PAIRS
     masses = np.random.default_rng(seed).uniform(*PAPER_MASS_KG, 2 * count)
-    observations = observe_all(observe_circle, masses.tolist(), jobs, progress)
+    observations = observe_all(observe_circle, masses.tolist(), workers, progress)
     return PairSet(observations, masses[:, None], *consecutive_pairs(count))
 
 
-def _readings_pairs(count: int | None, seed: int, jobs: int | None, progress: Progress) -> PairSet:
+def _readings_pairs(count: int | None, seed: int, workers: Workers, progress: Progress) -> PairSet:
     """All pairs of a few masses along one motion; half of the masses near another."""
     rng = np.random.default_rng(seed)
     each = _MASSES * (_MASSES - 1)
@@ -181,7 +181,7 @@ def _readings_pairs(count: int | None, seed: int, jobs: int | None, progress: Pr
     plans = [
         (int(path_seed), tuple(row)) for path_seed, row in zip(seeds, masses.tolist(), strict=True)
     ]
-    observations = observe_all(_observe_paths, plans, jobs, progress)
+    observations = observe_all(_observe_paths, plans, workers, progress)
     first, second = np.nonzero(~np.eye(_MASSES, dtype=bool))
     starts = _MASSES * np.arange(paths)[:, None]
     proposed, target = (starts + first).ravel(), (starts + second).ravel()

@@ -15,7 +15,7 @@ from safetensors.numpy import save
 
 from analysis.result_files import replacing
 from analysis.tunenet.network import NETWORKS, Model, Scaling
-from analysis.tunenet.weights_file import REMEDY, read_weights_file
+from analysis.tunenet.weights_file import REMEDY, in_one_order, read_weights_file
 from tunenet_logs.errors import WeightsError
 from tunenet_logs.small_files import parse_json
 from tunenet_logs.terminal import one_line, short_name
@@ -66,7 +66,7 @@ def save_model(path: Path, model: Model, purpose: Purpose, notes: Mapping[str, s
     header["digest"] = _digest(tensors, header)
     try:
         with replacing(path) as partial:
-            partial.write_bytes(save(tensors, header))
+            partial.write_bytes(in_one_order(save(tensors, header)))
     except OSError as error:
         raise WeightsError(f"{path}: cannot be written ({error.strerror})") from error
     return header["digest"]

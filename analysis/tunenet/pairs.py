@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from multiprocessing import get_context
-from typing import TypeVar
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.cluster import Cluster, on_cluster
+from analysis.processes import streamed
 from tunenet_logs.arrays import Array
+from tunenet_logs.errors import TuneNetError
 from tunenet_logs.terminal import Progress
 
 Item = TypeVar("Item")
+
+Workers: TypeAlias = Cluster | int | None
+"""Who makes rollouts: a cluster, or so many processes of this machine; None for all its cores."""
+
+_MOST_AT_A_TIME, _CHUNKS = 50, 128
+"""Items that a worker is given: few enough for all to end together, enough to outweigh giving."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,29 +49,50 @@ class PairSet:
 def observe_all(
     observe: Callable[[Sequence[Item]], Array],
     items: Sequence[Item],
-    jobs: int | None,
+    workers: Workers,
     progress: Progress,
 ) -> Array:
-    """`observe` over all items, chunk by chunk, in `jobs` processes (default: all cores).
+    """`observe` over all items, chunk by chunk, wherever the workers are.
+
+    The chunks do not depend on how many workers there are, and the results stand where their items
+    do, so the same items give the same bits.
+
+    Args:
+        observe: observations of some items, as many of each; a function of a module.
+        items: what is observed.
+        workers: who do it.
+        progress: shows how many are done.
 
     Returns:
         What it returned, in the order of the items, shape (N, L, C).
+
+    Raises:
+        TuneNetError: a worker died of the same items each time that they were tried.
     """
-    jobs = jobs or len(os.sched_getaffinity(0))
-    size = max(1, min(50, len(items) // (2 * jobs) + 1))
+    size = max(1, min(_MOST_AT_A_TIME, len(items) // _CHUNKS + 1))
     chunks = [items[at : at + size] for at in range(0, len(items), size)]
-    parts: list[Array] = []
+    if isinstance(workers, Cluster):
+        done = on_cluster(workers, observe, chunks, _gone)
+    else:
+        done = streamed(observe, chunks, workers, may_stay=True, lost=_gone)
+    all_of_them: Array | None = None
     with progress.bar(len(items), "simulating", "rollout") as bar:
-        if jobs == 1:
-            for chunk in chunks:
-                parts.append(observe(chunk))
-                bar.update(len(chunk))
-        else:
-            with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-                for chunk, part in zip(chunks, pool.map(observe, chunks), strict=True):
-                    parts.append(part)
-                    bar.update(len(chunk))
-    return np.concatenate(parts)
+        for at, part in done:
+            each = len(part) // len(chunks[at])
+            if all_of_them is None:
+                all_of_them = np.empty((each * len(items), *part.shape[1:]), part.dtype)
+            first = each * size * at
+            all_of_them[first : first + len(part)] = part
+            bar.update(len(chunks[at]))
+    assert all_of_them is not None, "nothing to observe"
+    return all_of_them
+
+
+def _gone(chunk: Sequence[object]) -> Array:
+    raise TuneNetError(
+        f"a process that simulated {len(chunk)} rollouts died each time that they were tried; "
+        "memory may be short: choose fewer --jobs"
+    )
 
 
 def consecutive_pairs(count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -6,6 +6,7 @@ shape and place of each tensor by name, and strings under `__metadata__`; the te
 
 from __future__ import annotations
 
+import json
 import math
 import struct
 from collections.abc import Collection, Mapping
@@ -106,6 +107,16 @@ class WeightsFile:
 
     def _wrong(self, what: str) -> WeightsError:
         return WeightsError(f"{self.path}: {what}; {REMEDY}")
+
+
+def in_one_order(content: bytes) -> bytes:
+    """The same file with its header's strings sorted: the library writes them in any order."""
+    (length,) = struct.unpack_from("<Q", content)
+    header = json.loads(content[8 : 8 + length])
+    header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
+    written = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
+    written += b" " * (-len(written) % 8)  # the tensors begin at a multiple of 8
+    return struct.pack("<Q", len(written)) + written + content[8 + length :]
 
 
 def read_weights_file(path: Path) -> WeightsFile:

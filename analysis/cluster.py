@@ -1,0 +1,194 @@
+"""Work on the machines of a Ray cluster, by Ray Data: an actor a core, libraries loaded once.
+
+What an actor that dies had under way is done again, each item alone, and once.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, TypeVar
+
+import numpy as np
+
+from recorders.simulators.engines import ENGINE_VARIABLE
+from tunenet_logs.commandline import BLAS_THREADS
+from tunenet_logs.errors import UsageError
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+_AT_A_TIME = 16
+"""Items that an actor is given: a task of Ray's costs some milliseconds."""
+
+_TASKS_AN_ACTOR = 4
+"""Fewer items are given where there would be fewer tasks for each actor."""
+
+_ANSWERS_S = 10
+"""Within which a cluster's head takes a call."""
+
+HERE = "local"
+"""The address of a cluster that is started on this machine for the work."""
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """Where work is done.
+
+    Attributes:
+        address: of its head, "auto" for the one that this machine is part of, or `HERE`.
+        jobs: actors; None for all cores of the cluster.
+    """
+
+    address: str = HERE
+    jobs: int | None = None
+
+
+def on_cluster(
+    cluster: Cluster,
+    work: Callable[[Item], Result],
+    items: Sequence[Item],
+    lost: Callable[[Item], Result],
+) -> Iterator[tuple[int, Result]]:
+    """Do `work` on every item in a cluster; see `processes.streamed`.
+
+    Args:
+        cluster: where.
+        work: a function of a module, so that an actor can find it.
+        items: what is to be done.
+        lost: the result of an item whose actor died twice.
+
+    Yields:
+        The number of an item, and its result, as they come.
+
+    Raises:
+        UsageError: Ray is not installed, or nobody answers at the address.
+        Exception: what `work` raised.
+    """
+    left = set(range(len(items)))
+    with _connected(cluster) as actors:
+        at_a_time = max(1, min(_AT_A_TIME, len(items) // (actors * _TASKS_AN_ACTOR)))
+        for many in (at_a_time, 1):
+            rows = [{"number": at, "item": items[at]} for at in sorted(left)]
+            for at, result in _done(work, rows, min(actors, max(1, len(rows))), many):
+                if at in left:
+                    left.remove(at)
+                    yield at, result
+            if not left:
+                break
+        for at in sorted(left):
+            yield at, lost(items[at])
+
+
+def _done(
+    work: Callable[[Item], Result], rows: list[dict[str, Any]], actors: int, at_a_time: int
+) -> Iterator[tuple[int, Result]]:
+    """What the actors give; nothing of those that die."""
+    import ray.data
+
+    if not rows:
+        return
+    blocks = -(-len(rows) // at_a_time)
+    given = ray.data.from_items(rows, override_num_blocks=blocks)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "`ray_remote_args_fn` is deprecated")  # nothing else yet
+        done = given.map_batches(
+            _Worker,
+            fn_constructor_args=(work,),
+            concurrency=actors,
+            batch_size=None,
+            batch_format="numpy",
+            num_cpus=1,
+            ray_remote_args_fn=_remote,
+        )
+    for batch in done.iter_batches(batch_size=None, batch_format="numpy", prefetch_batches=0):
+        for at, result in zip(batch["number"].tolist(), batch["result"], strict=True):
+            if isinstance(result, _Raised):
+                raise result.error
+            yield at, result
+
+
+def _remote() -> dict[str, Any]:
+    """How Ray treats an actor: a new one for one that dies, but nothing is done again unasked."""
+    return {"max_restarts": -1, "max_task_retries": 0}
+
+
+@dataclass(frozen=True)
+class _Raised:
+    """Stands for a result where `work` raised."""
+
+    error: Exception
+
+
+class _Worker:
+    """An actor: libraries and models are loaded once in it, by the first item."""
+
+    def __init__(self, work: Callable[[Any], Any]) -> None:
+        self._work = work
+
+    def __call__(self, batch: Mapping[str, Any]) -> dict[str, Any]:
+        """Results by number; what `work` raises is raised again where they are taken."""
+        results = np.empty(len(batch["item"]), object)
+        for at, item in enumerate(batch["item"]):
+            try:
+                results[at] = self._work(item)
+            except Exception as error:  # noqa: BLE001
+                results[at] = _Raised(error)
+        return {"number": batch["number"], "result": results}
+
+
+@contextmanager
+def _connected(cluster: Cluster) -> Iterator[int]:
+    """A cluster to work in, and for how many actors it has cores.
+
+    Raises:
+        UsageError: there is none.
+    """
+    address, jobs = cluster.address, cluster.jobs
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+    os.environ.setdefault("RAY_DEDUP_LOGS", "0")
+    try:
+        import ray
+        import ray.data
+    except ImportError as error:
+        raise UsageError(
+            f"--ray needs Ray ({error}); install the extra: pip install 'tunenet-logs[cluster]'"
+        ) from error
+    import logging
+
+    variables: dict[str, str] = dict.fromkeys(BLAS_THREADS, "1")
+    if ENGINE_VARIABLE in os.environ:
+        variables[ENGINE_VARIABLE] = os.environ[ENGINE_VARIABLE]
+    begin = partial(
+        ray.init,
+        runtime_env={"env_vars": variables},
+        include_dashboard=False if address == HERE else None,
+        logging_level=logging.ERROR,
+        log_to_driver=False,
+        configure_logging=True,
+    )
+    try:
+        if ":" in address:  # Ray itself tries for minutes, and then ends the process
+            host, _, port = address.removeprefix("ray://").rpartition(":")
+            socket.create_connection((host, int(port)), _ANSWERS_S).close()
+        if address == HERE:
+            begin(address=HERE, num_cpus=jobs or len(os.sched_getaffinity(0)))
+        else:
+            begin(address=address)
+    except (OSError, OverflowError, ValueError, RuntimeError) as error:
+        raise UsageError(f"--ray {address}: no cluster answers ({error})") from error
+    context = ray.data.DataContext.get_current()
+    context.max_errored_blocks = -1
+    context.enable_progress_bars = False
+    context.print_on_execution_start = False
+    logging.getLogger("ray.data").setLevel(logging.CRITICAL)
+    try:
+        cores = int(ray.cluster_resources().get("CPU", 1))
+        yield max(1, min(cores, jobs or cores))
+    finally:
+        ray.shutdown()
