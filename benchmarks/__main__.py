@@ -33,7 +33,7 @@ class Section:
 
 SECTIONS = {
     "start-up": Section("start_up", {"best_of": 5}, {"best_of": 2}),
-    # films: "films": Section("films", ...), as soon as there is benchmarks/films.py
+    "films": Section("films", {"drawn": 5}, {"drawn": 2}),
     "state logs": Section("state_logs", {"count": 200}, {"count": 40}),
     "batches": Section("batches", {"count": 2000}, {"count": 400}),
     "rollouts": Section("rollouts", {"count": 10_000}, {"count": 2000}),
