@@ -34,23 +34,7 @@ def test_a_reduced_picture_is_the_mean_of_its_pixels(
     whole, small = frame.decode(), frame.decode(scale)
     assert whole.shape == (height, width, 3)
     assert small.shape == (height // scale, width // scale, 3)
-    off = small.astype(int) - mean_of_blocks(whole, scale)
-    assert np.abs(off).max() <= 6  # of 255: colours are rounded before and after
-    assert np.abs(off.mean(axis=(0, 1))).max() < 1.5
-
-
-@pytest.mark.parametrize("scale", [2, 3, 5])
-def test_a_ball_stays_where_it_is(scale: int):
-    y, x = np.mgrid[:90, :120]
-    disc = np.clip(12.5 - np.hypot(x - 51.3, y - 40.7), 0, 1)
-    rgb = (60 + disc[:, :, None] * np.array([160, 90, 20])).astype(np.uint8)
-    video = av.VideoFrame.from_ndarray(rgb, format="rgb24").reformat(format="yuv420p")
-    small = decoded_frame(0, video).decode(scale).astype(float)[:, :, 0] - 60
-    rows, columns = np.mgrid[: small.shape[0], : small.shape[1]]
-    small[small < 10] = 0
-    middle = [(small * one).sum() / small.sum() for one in (columns, rows)]
-    wanted = [(one + 0.5) / scale - 0.5 for one in (51.3, 40.7)]
-    assert middle == pytest.approx(wanted, abs=0.05)
+    assert np.array_equal(small, mean_of_blocks(whole, scale))
 
 
 def test_pixels_that_alternate_stand_for_their_mean():

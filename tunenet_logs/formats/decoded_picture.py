@@ -44,19 +44,14 @@ def _rgb(picture: VideoFrame, rotation_deg: int, dithered: bool, scale: int) -> 
     import cv2
     from av.error import FFmpegError
 
-    width, height = picture.width, picture.height
-    small = (width // scale, height // scale)
-    is_even = small[0] * scale == width and small[1] * scale == height
     try:
-        if is_even and not dithered:
-            shown, left = picture.reformat(*small, "rgb24", interpolation="AREA"), 1
-        else:
-            shown, left = picture.reformat(format="rgb24"), scale
-        pixels = np.asarray(shown.to_ndarray(), np.uint8)
+        pixels = np.asarray(picture.to_ndarray(format="rgb24"), np.uint8)
     except (FFmpegError, ValueError, OverflowError, MemoryError) as error:
         raise LogError(f"a picture of a video cannot be shown ({error})") from error
+    if not dithered and picture.width % scale == picture.height % scale == 0:
+        pixels, scale = mean_of_blocks(pixels, scale), 1  # the same, and less to turn
     if rotation_deg:
         pixels = np.asarray(cv2.rotate(pixels, getattr(cv2, _TURNS[rotation_deg])), np.uint8)
     if dithered:
         pixels = np.asarray(cv2.GaussianBlur(pixels, (0, 0), 1.0), np.uint8)
-    return mean_of_blocks(pixels, left)
+    return mean_of_blocks(pixels, scale)
