@@ -41,6 +41,20 @@ def replacing(path: Path) -> Iterator[Path]:
         partial.unlink(missing_ok=True)
 
 
+@contextmanager
+def writable(path: Path, remedy: str) -> Iterator[None]:
+    """Say in one line which file could not be written, and what to do.
+
+    Raises:
+        LogError: what is done in the block raised an OSError.
+    """
+    try:
+        yield
+    except OSError as error:
+        why = error.strerror or str(error)
+        raise LogError(f"{path}: cannot be written ({why}); {remedy}") from error
+
+
 def _partial(path: Path) -> Path:
     """Where this process writes first: another one that writes the same results has another."""
     return path.with_name(f"{path.name}.{os.getpid()}{_PARTIAL}")

@@ -16,7 +16,7 @@ from typing import Any, BinaryIO
 
 from analysis.batch.ledger_row import Cell, LedgerRow
 from analysis.batch.result_names import OF_BATCH
-from analysis.result_files import replacing
+from analysis.result_files import replacing, writable
 from tunenet_logs.errors import LogError, UsageError
 from tunenet_logs.regular_file import open_regular
 
@@ -24,6 +24,9 @@ _TEXTS = ("log", "verdict", "reason", "error", "task", "method", "ball", "topic"
 _TEXTS += ("results", "tuned", "version", "engine", "options")
 _WHOLE = ("rollouts", "bytes", "modified_ns")
 """Columns that every ledger has; all others are numbers."""
+
+_GO_ON = "free some space, then go on with --resume"
+"""What to do where a disk is full."""
 
 _MOST_LINE = 100_000
 """Bytes of a line of the journal."""
@@ -98,20 +101,25 @@ class Journal:
             self.ledger.put(row)
 
     def append(self, row: LedgerRow) -> None:
-        """Enter the row of a log that has just ended; it outlives this process."""
+        """Enter the row of a log that has just ended; it outlives this process.
+
+        Raises:
+            LogError: the journal cannot be written.
+        """
         line = json.dumps(row, ensure_ascii=False).encode(errors="replace")
-        self._file.write(line + b"\n")
-        self._file.flush()
+        with writable(_journal_file(self.folder), _GO_ON):
+            self._file.write(line + b"\n")
+            self._file.flush()
         self.ledger.put(row)
 
     def compact(self) -> Path:
         """Write all rows as one Parquet table, and empty the journal.
 
         Raises:
-            OSError: it cannot be written; the journal keeps all.
+            LogError: it cannot be written; the journal keeps all.
         """
         table = ledger_file(self.folder)
-        with replacing(table) as unfinished:
+        with writable(table, _GO_ON), replacing(table) as unfinished:
             write_parquet(self.ledger, unfinished)
         self._file.truncate(0)
         return table

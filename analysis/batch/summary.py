@@ -11,8 +11,10 @@ from analysis.batch.one_log import Result
 from analysis.batch.result_names import OF_BATCH, result_files
 from analysis.batch.run import MOST_SHOWN, BatchResult, Order
 from analysis.report import table
-from analysis.result_files import replacing
+from analysis.result_files import replacing, writable
 from tunenet_logs.terminal import one_line, short_name
+
+_ELSEWHERE = "free some space and run it again with --resume: the logs are done"
 
 _MOST_REASONS, _REASON_CHARACTERS = 5, 100
 """Of logs that are not ok, the most frequent ones, cut."""
@@ -22,14 +24,16 @@ def closing(order: Order, csv: Path | None, ledger: Ledger) -> None:
     """What is made of a whole ledger: its overview, and a text table where one is wanted.
 
     Raises:
-        OSError: one cannot be written.
+        LogError: one cannot be written.
     """
     if csv is not None:
-        write_csv(ledger, csv)
+        with writable(csv, _ELSEWHERE):
+            write_csv(ledger, csv)
     if order.folder is not None:
         from analysis.review.overview import write_overview
 
-        with replacing(overview_file(order.folder)) as unfinished:
+        overview = overview_file(order.folder)
+        with writable(overview, _ELSEWHERE), replacing(overview) as unfinished:
             write_overview(ledger.columns, unfinished)
 
 

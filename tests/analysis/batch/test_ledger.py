@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import random
+import resource
 import shutil
 import signal
 import subprocess
@@ -259,3 +260,24 @@ print(resident() - before)
 """
     grown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert float(grown.stdout) < 60 * 0.3  # [MB] of 60 logs
+
+
+def test_a_disk_that_is_full_loses_nothing(made_drops: Path, tmp_path: Path):
+    """No file can grow beyond 8 kB: neither results nor the table, but the journal can."""
+    words = [str(BIN / "tunenet-tune"), str(made_drops / "day0"), "-o", str(tmp_path / "out")]
+    words += ["--resume", "--no-review", "--jobs", "1"]
+    full = subprocess.run(
+        words,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (8000, 8000)),
+    )
+    assert full.returncode == 1
+    assert "ledger.parquet: cannot be written" in full.stderr
+    assert "--resume" in full.stderr.splitlines()[-1]
+    assert "Traceback" not in full.stderr
+    assert len(_journal_lines(tmp_path / "out")) == 6
+    done = subprocess.run(words, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert verdicts_of(ledger_of(tmp_path / "out")) == {"ok": 6}
