@@ -6,12 +6,14 @@ What an actor that dies had under way is done again, each item alone, and once.
 from __future__ import annotations
 
 import os
+import signal
 import socket
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
+from threading import current_thread, main_thread
 from typing import Any, TypeVar
 
 import numpy as np
@@ -172,6 +174,7 @@ def _connected(cluster: Cluster) -> Iterator[int]:
         log_to_driver=False,
         configure_logging=True,
     )
+    stops = signal.getsignal(signal.SIGTERM)
     try:
         if ":" in address:  # Ray itself tries for minutes, and then ends the process
             host, _, port = address.removeprefix("ray://").rpartition(":")
@@ -182,6 +185,9 @@ def _connected(cluster: Cluster) -> Iterator[int]:
             begin(address=address)
     except (OSError, OverflowError, ValueError, RuntimeError) as error:
         raise UsageError(f"--ray {address}: no cluster answers ({error})") from error
+    finally:
+        if current_thread() is main_thread():  # Ray's own handler ends the process at once
+            signal.signal(signal.SIGTERM, stops)
     context = ray.data.DataContext.get_current()
     context.max_errored_blocks = -1
     context.enable_progress_bars = False
