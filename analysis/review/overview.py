@@ -122,7 +122,7 @@ def _draw(
     for verdict, colour in _COLOURS.items():
         there = np.isfinite(values) & (verdicts == verdict)
         _points(recording, f"{name}/{verdict}", values, there, colour, orders)
-    _points(recording, f"{name}/unlike the others", values, outliers, _OUTLIER, orders, size=5.0)
+    _points(recording, f"{name}/unlike_others", values, outliers, _OUTLIER, orders, size=5.0)
 
 
 def _points(

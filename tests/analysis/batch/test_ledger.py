@@ -67,6 +67,7 @@ def test_a_folder_is_walked_and_every_log_has_a_row(
     out, csv = tmp_path / "out", tmp_path / "all.csv"
     done = command("tunenet-tune", str(made_drops), "-o", str(out), "--csv", str(csv))
     assert done.returncode == 1
+    assert "WARN" not in done.stderr
     rows = ledger_of(out)
     assert len(rows) == len({row["log"] for row in rows}) == 12
     assert verdicts_of(rows) == {"ok": 11, "rejected": 1}
