@@ -92,14 +92,12 @@ class FitStart:
         x, y: near the ball's centre [px].
         patch: what is seen around.
         values: see `draw_ball`, shape (6,).
-        unlikeness: fraction of the patch that a ball there does not explain.
     """
 
     x: float
     y: float
     patch: Patch
     values: Array
-    unlikeness: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,8 +138,12 @@ class Appearance:
         if patch is None:
             return None
         values = np.array([*patch.here(x, y), math.log(grown), 0.0, 0.0, 0.0])
-        unlikeness = unlike(self.layers, self.radius_px * self.zoom, patch, values)
-        return FitStart(x, y, patch, values, unlikeness / patch.inside.size)
+        return FitStart(x, y, patch, values)
+
+    def unlikeness(self, begin: FitStart) -> float:
+        """Fraction of what is seen around a start that a ball there does not explain."""
+        left = unlike(self.layers, self.radius_px * self.zoom, begin.patch, begin.values)
+        return left / begin.patch.inside.size
 
     def place(self, begin: FitStart, known: Sequence[Placing] = ()) -> Placing | None:
         """The ball near a start; None where there is none in view, or none that is not known.

@@ -1,9 +1,10 @@
-"""The ball in one picture after the other: where it is expected, else wherever it may be."""
+"""The ball in one picture: where it is expected, else wherever it may be."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -41,55 +42,49 @@ _LIKELIEST = 2
 """Places there: a shadow or a reflection may be more like the ball than the ball."""
 
 
+@dataclass(frozen=True, eq=False)
 class BallDetector:
-    """Finds the ball in one picture after the other, once it is known how it looks.
+    """Finds the ball in one picture, once it is known how it looks and about where it is.
 
-    Args:
+    Attributes:
         background: without it.
         ball: its colour and size.
         appearance: None where that could not be learnt.
         allowed: see `Pictures.allowed`.
     """
 
-    def __init__(
-        self,
-        background: Background,
-        ball: ColorAndSize,
-        appearance: Appearance | None,
-        allowed: Picture | None,
-    ) -> None:
-        self._background, self._ball, self._allowed = background, ball, allowed
-        self._appearance = appearance
+    background: Background
+    ball: ColorAndSize
+    appearance: Appearance | None
+    allowed: Picture | None
 
     def find(self, picture: Picture, expected_px: Array, still_px: Array) -> Blobs:
-        """Candidates in the next picture: the ball where it is expected, else all like it.
+        """Candidates in a picture: the ball where it is expected, else all like it.
 
         Args:
             picture: RGB, shape (H, W, 3).
             expected_px: where it was found before its appearance was known, shape (2,).
             still_px: where it may be held or lie, shape (2,); NaN where it is known to fly.
         """
-        if self._appearance is None:
-            return coloured_blobs(picture, self._background, self._ball, self._allowed)
-        placer = _Placer(picture, self._background, self._appearance, self._allowed)
+        if self.appearance is None:
+            return coloured_blobs(picture, self.background, self.ball, self.allowed)
+        placer = _Placer(picture, self.background, self.appearance, self.allowed)
         around = [(float(x), float(y)) for x, y in (expected_px, still_px) if np.isfinite(x)]
-        if len(around) > 1 and math.dist(*around) < self._appearance.radius_px:
+        if len(around) > 1 and math.dist(*around) < self.appearance.radius_px:
             del around[1]
         placer.fit_from([(x, y, 1.0) for x, y in around])
         if not placer.is_sure:
-            like = [
-                (*at, 1.0) for near in around for at in _alike(self._appearance, picture, *near)
-            ]
+            like = [(*at, 1.0) for near in around for at in _alike(self.appearance, picture, *near)]
             placer.fit_from([*like, *self._coloured(picture)], _MOST_STARTS)
         return placer.blobs()
 
     def _coloured(self, picture: Picture) -> list[tuple[float, float, float]]:
         """Where blobs of its colour are, the most alike first: x, y [px], and how much grown."""
-        found = coloured_blobs(picture, self._background, self._ball, self._allowed)
-        unlike = np.linalg.norm(found.colours - self._ball.colour, axis=1) / COLOUR_OFF
-        unlike += np.abs(np.log(found.areas_px / self._ball.area_px))
+        found = coloured_blobs(picture, self.background, self.ball, self.allowed)
+        unlike = np.linalg.norm(found.colours - self.ball.colour, axis=1) / COLOUR_OFF
+        unlike += np.abs(np.log(found.areas_px / self.ball.area_px))
         best = np.argsort(unlike)[:_MOST_BLOBS]
-        grown = np.clip(np.sqrt(found.areas_px[best] / self._ball.area_px), *_GROWN)
+        grown = np.clip(np.sqrt(found.areas_px[best] / self.ball.area_px), *_GROWN)
         return np.column_stack([found.places_px[best], grown]).tolist()
 
 
@@ -129,7 +124,7 @@ class _Placer:
         begin = partial(self._appearance.start, self._picture, self._background, self._gain)
         starts = [start for place in places if (start := begin(*place)) is not None]
         if most is not None:
-            starts = sorted(starts, key=lambda one: one.unlikeness)[:most]
+            starts = sorted(starts, key=self._appearance.unlikeness)[:most]
         for start in starts:
             fit = self._appearance.place(start, self.placed)
             if fit is None or not self._is_allowed(fit):
