@@ -22,6 +22,9 @@ from tunenet_logs.regular_file import open_regular
 
 _TEXTS = ("log", "verdict", "reason", "error", "task", "method", "ball", "topic", "sha256")
 _TEXTS += ("results", "tuned", "version", "engine", "options")
+_KNOWN_BY = ("log", "verdict")
+"""Columns of text without which a table is no ledger, of whatever version."""
+
 _WHOLE = ("rollouts", "bytes", "modified_ns")
 """Columns that every ledger has; all others are numbers."""
 
@@ -218,7 +221,8 @@ def _table_rows(path: Path) -> Iterator[dict[str, Any]]:
 
     try:
         with open_regular(path) as file, parquet.ParquetFile(file) as table:
-            if "log" not in table.schema_arrow.names:
+            kinds = dict(zip(table.schema_arrow.names, table.schema_arrow.types, strict=True))
+            if any(kinds.get(name) not in (pa.string(), pa.large_string()) for name in _KNOWN_BY):
                 raise LogError(f"{path}: is no ledger of tunenet-tune; choose another folder (-o)")
             for batch in table.iter_batches(1000):
                 yield from (row for row in batch.to_pylist() if isinstance(row["log"], str))
@@ -226,17 +230,3 @@ def _table_rows(path: Path) -> Iterator[dict[str, Any]]:
         raise LogError(
             f"{path}: cannot be read ({error}); move it away, or choose another folder with -o"
         ) from error
-
-
-def write_csv(ledger: Ledger, path: Path) -> None:
-    """The ledger as a table in text.
-
-    Raises:
-        OSError: it cannot be written.
-    """
-    import csv
-
-    with replacing(path) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(ledger.columns)
-        writer.writerows([row[name] for name in ledger.columns] for row in ledger.rows())

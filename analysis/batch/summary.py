@@ -6,10 +6,11 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from analysis.batch.ledger import Ledger, write_csv
+from analysis.batch.ledger import Ledger
 from analysis.batch.one_log import Result
 from analysis.batch.result_names import OF_BATCH, result_files
 from analysis.batch.run import MOST_SHOWN, BatchResult, Order
+from analysis.batch.text_table import write_csv
 from analysis.report import table
 from analysis.result_files import replacing, writable
 from tunenet_logs.terminal import one_line, short_name

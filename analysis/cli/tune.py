@@ -75,9 +75,9 @@ def _tune(arguments: argparse.Namespace) -> int:
     if wants_ledger and arguments.output is None:
         raise UsageError("--resume and --csv are about the ledger in -o DIR; give it")
     if arguments.csv is not None:
-        from analysis.result_files import check_writable
+        from analysis.batch.text_table import check_csv
 
-        check_writable(arguments.csv, "--csv")
+        check_csv(arguments.csv, arguments.output, found.logs, overwrite=arguments.overwrite)
     if found.left_out:
         progress.say(f"tunenet-tune: {found.left_out} files of folders are no logs; left out")
     order = Order(

@@ -228,6 +228,14 @@ def test_what_is_no_ledger_is_not_replaced(tmp_path: Path, data: bytes):
     assert ledger_file(tmp_path).read_bytes() == data
 
 
+def test_another_table_with_logs_is_not_taken_for_a_ledger(tmp_path: Path):
+    pd.DataFrame({"log": ["a.mcap"], "value": [1.0]}).to_parquet(ledger_file(tmp_path))
+    before = ledger_file(tmp_path).read_bytes()
+    with pytest.raises(LogError, match="is no ledger"), journal(tmp_path):
+        pass
+    assert ledger_file(tmp_path).read_bytes() == before
+
+
 def test_options_of_the_ledger_need_its_folder(made_drops: Path, command: Command):
     done = command("tunenet-tune", str(made_drops), "--resume")
     assert done.returncode == 2
