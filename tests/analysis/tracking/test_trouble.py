@@ -11,6 +11,7 @@ import pytest
 
 from analysis.drop.film import find_filmed_drop
 from analysis.tracking import kept_film
+from analysis.tracking.arcs import _parabola
 from analysis.tracking.background import middle_of
 from analysis.tracking.candidates import Candidates
 from analysis.tracking.pictures import Pictures
@@ -37,6 +38,15 @@ def episode(made: Made) -> Episode:
 def test_the_middle_of_pictures_is_their_median(count: int):
     stack = np.random.default_rng(count).integers(0, 256, (count, 5, 7, 3)).astype(np.uint8)
     assert np.array_equal(middle_of(list(stack)), np.sort(stack, axis=0)[(count - 1) // 2])
+
+
+@pytest.mark.parametrize("apart_s", [1e-9, 1e-12])
+def test_stamps_that_are_as_good_as_equal_break_no_parabola(apart_s: float):
+    """Of three pictures, two of which came at once: no curve is told, and no error raised."""
+    clock = np.array([-0.5, -0.5 + apart_s, 0.5])
+    curve = _parabola(clock, np.array([[0.0, 0.0], [0.0, 0.0], [2.0, 4.0]]))
+    ends = curve[0] * clock[:, None] ** 2 + curve[1] * clock[:, None] + curve[2]
+    assert np.allclose(ends[[0, 2]], [[0.0, 0.0], [2.0, 4.0]], atol=1e-6)
 
 
 def long_hold(episode: Episode, times: int) -> Episode:
