@@ -170,7 +170,7 @@ def effort_unit(text: str) -> str:
     """
     unit = "N·m" if text in ("N·m", "Nm", "N.m", "N*m") else text
     if unit not in ("N·m", "A"):
-        raise UsageError(f"{short_name(text)} is neither N·m (or Nm) nor A")
+        raise UsageError(f"{short_name(text)!r} is neither N·m (or Nm) nor A")
     return unit
 
 

@@ -19,7 +19,7 @@ from tunenet_logs.terminal import Progress, listed
 
 if TYPE_CHECKING:
     from analysis.batch.one_log import Writing
-    from analysis.record import Provenance, Tuning
+    from analysis.record import Tuning
     from analysis.selection import Selection
     from analysis.tune_options import TuneOptions
 
@@ -124,9 +124,7 @@ def _writing(arguments: argparse.Namespace) -> Writing:
     return Writing(arguments.overwrite, reviewed, _saving_card(arguments))
 
 
-def _saving_card(
-    arguments: argparse.Namespace,
-) -> Callable[[Tuning, Provenance], None] | None:
+def _saving_card(arguments: argparse.Namespace) -> Callable[[Tuning], None] | None:
     """Writes what a tuning learns of its arm; None where nobody asks for it."""
     if arguments.save_arm_card is None:
         return None
