@@ -14,7 +14,13 @@ Nothing here prints or exits. What cannot be tuned comes back as a tuning whose 
 `LogError`, both of them `TuneNetError`.
 """
 
-from analysis.api.episodes import read_episode, save_episode, simulate
+from analysis.api.episodes import (
+    episode_of_joints,
+    episode_of_positions,
+    read_episode,
+    save_episode,
+    simulate,
+)
 from analysis.api.results import (
     export,
     read_tuning,
@@ -24,7 +30,8 @@ from analysis.api.results import (
     save_tuning,
 )
 from analysis.api.tuning import Reviewed, tune, tune_all
-from analysis.motion import Curves, Equivalents, Motion, SimulationFit, Units
+from analysis.checks import Check, CrossCheck
+from analysis.motion import Curves, Equivalent, Equivalents, Motion, SimulationFit, Units
 from analysis.record import Estimate, Provenance, Rebound, Record, Tuning
 from analysis.tune_options import TuneOptions
 from recorders.filmed_drop import FilmOrder
@@ -39,10 +46,13 @@ from tunenet_logs.formats.read_options import ReadingOptions
 __all__ = [
     "BALLS",
     "Ball",
+    "Check",
+    "CrossCheck",
     "Curves",
     "DropOrder",
     "Episode",
     "EpisodeInfo",
+    "Equivalent",
     "Equivalents",
     "Estimate",
     "FilmOrder",
@@ -65,6 +75,8 @@ __all__ = [
     "Units",
     "UsageError",
     "WeightsError",
+    "episode_of_joints",
+    "episode_of_positions",
     "export",
     "read_episode",
     "read_tuning",

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Unpack
+from typing import Literal, Unpack
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from analysis.tune_options import AnyPath
 from recorders.filmed_drop import FilmOrder
 from recorders.simulated_drop import DropOrder
 from recorders.simulated_payload import PayloadOrder
 from recorders.simulated_shot import ShotOrder
-from tunenet_logs.episode import Episode
+from tunenet_logs.arrays import Array
+from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import UsageError
 from tunenet_logs.formats.read_options import ReadingOptions, reading_of
+
+_LATEST_S = 9e9
+"""After any clock's time in ns that 64 bits hold."""
 
 
 def read_episode(path: AnyPath, **reading: Unpack[ReadingOptions]) -> Episode:
@@ -29,6 +37,79 @@ def read_episode(path: AnyPath, **reading: Unpack[ReadingOptions]) -> Episode:
     from tunenet_logs.reader import read_episode as read
 
     return read(Path(path), reading_of(reading))
+
+
+def episode_of_positions(
+    seconds: ArrayLike,
+    positions: ArrayLike,
+    *,
+    unit: Literal["m", "px", ""] = "m",
+    topic: str = "/ball/pose",
+) -> Episode:
+    """A drop from arrays of your own, for `tune` and `save_episode`.
+
+    Args:
+        seconds: when each position was measured [s], rising; shape (T,).
+        positions: x, y, z with z up, shape (T, 3); or heights alone, shape (T,).
+        unit: of the positions; "" where it is not known: gravity then tells.
+        topic: what they are called.
+
+    Raises:
+        UsageError: shapes disagree, a number is not finite, or the times do not rise.
+    """
+    placed = np.array(positions, float)
+    if placed.ndim == 1:
+        placed = np.column_stack([np.zeros((len(placed), 2)), placed])
+    signal = _signal(topic, seconds, placed, ("x", "y", "z"), unit)
+    return Episode(EpisodeInfo(kind="drop", source="Python"), {topic: signal})
+
+
+def episode_of_joints(
+    seconds: ArrayLike,
+    names: Sequence[str],
+    position_rad: ArrayLike,
+    effort_nm: ArrayLike,
+    velocity_rad_s: ArrayLike | None = None,
+    *,
+    topic: str = "/joint_states",
+) -> Episode:
+    """An arm's run from arrays of your own, for `tune` and `save_episode`.
+
+    Args:
+        seconds: when each state was measured [s], rising; shape (T,).
+        names: of the J joints, as in the arm's URDF.
+        position_rad: shape (T, J).
+        effort_nm: torques of the joints, shape (T, J).
+        velocity_rad_s: shape (T, J); None where it was not measured.
+        topic: what they are called.
+
+    Raises:
+        UsageError: shapes disagree, a number is not finite, or the times do not rise.
+    """
+    parts = [("position", position_rad, "rad"), ("effort", effort_nm, "N·m")]
+    if velocity_rad_s is not None:
+        parts.append(("velocity", velocity_rad_s, "rad/s"))
+    signals = {
+        f"{topic}.{part}": _signal(
+            f"{topic}.{part}", seconds, np.array(values, float), tuple(names), unit
+        )
+        for part, values, unit in parts
+    }
+    return Episode(EpisodeInfo(kind="payload", source="Python"), signals)
+
+
+def _signal(
+    name: str, seconds: ArrayLike, values: Array, columns: tuple[str, ...], unit: str
+) -> Signal:
+    stamps_s = np.array(seconds, float)
+    if not (np.isfinite(stamps_s).all() and np.isfinite(values).all()):
+        raise UsageError(f"{name}: a number is missing or not finite; leave such samples out")
+    if not (np.abs(stamps_s) < _LATEST_S).all():
+        raise UsageError(f"{name}: times are in seconds, below {_LATEST_S:g}")
+    try:
+        return Signal(name, np.round(stamps_s * 1e9).astype(np.int64), values, columns, unit)
+    except ValueError as error:
+        raise UsageError(str(error)) from error
 
 
 def simulate(

@@ -16,7 +16,7 @@ from analysis.tune_options import AnyPath, TuneOptions, ball_doubts, options_of
 from tunenet_logs.episode import Episode
 
 if TYPE_CHECKING:
-    import pandas as pd
+    import pandas as pd  # pyright: ignore[reportMissingTypeStubs] (it ships its own types)
 
 Reviewed = Literal["all", "none", "ok", "suspect", "rejected"]
 
@@ -107,8 +107,8 @@ def tune_all(
         **options: of every log; see `TuneOptions`.
 
     Returns:
-        The ledger, a row a log: columns `log`, `verdict`, `reason`, each parameter with its
-        interval, ...; see docs/scale.md.
+        The ledger, a row a log, with columns `log`, `verdict`, `reason`, each parameter with its
+        interval, and more; see docs/scale.md.
 
     Raises:
         UsageError: an option that makes no sense, or a place where no log is.
