@@ -105,6 +105,11 @@ def review_campaign(
 def save_arm_card(tuning: Tuning, path: AnyPath, *, overwrite: bool = False) -> Path:
     """Write what a tuned payload's log says of the arm, for `tune(..., arm_card=PATH)`.
 
+    Args:
+        tuning: of a payload.
+        path: of the card, a JSON.
+        overwrite: whether the card of other runs may be replaced.
+
     Raises:
         LogError: it says nothing, something else is there, or it cannot be written.
     """
