@@ -10,12 +10,15 @@ from pathlib import Path
 
 from analysis.record_json import read_record
 from tunenet_logs.errors import LogError, UsageError
+from tunenet_logs.progress import told
 from tunenet_logs.regular_file import open_regular
 
 _PARTIAL = ".partial"
 
 _HEADER_BYTES = 4096
 """Of a recording for Rerun, in which its names stand."""
+
+_BLOCK_BYTES = 2**20
 
 _OWN_DIGITS = 32
 """Of a log's SHA-256 in the name of its review: enough to tell any two logs apart."""
@@ -90,7 +93,12 @@ def log_sha256(log: Path) -> str:
     if not log.is_dir():
         try:
             with open_regular(log) as file:
-                return hashlib.file_digest(file, "sha256").hexdigest()
+                state = hashlib.sha256()
+                blocks = iter(lambda: file.read(_BLOCK_BYTES), b"")
+                count = os.fstat(file.fileno()).st_size // _BLOCK_BYTES
+                for block in told(blocks, "reading the log's bytes for its SHA-256", count):
+                    state.update(block)
+                return state.hexdigest()
         except LogError as error:
             raise OSError(str(error)) from error
     state = hashlib.sha256()

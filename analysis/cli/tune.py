@@ -32,7 +32,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _tune(arguments: argparse.Namespace) -> int:
     from analysis.batch.found_logs import find_logs
     from analysis.batch.run import Order, run_batch
-    from analysis.batch.summary import closing, print_results, summary
+    from analysis.batch.summary import closing, print_details, print_results, summary
     from analysis.tune_options import ball_doubts, options_of
 
     if arguments.preview:
@@ -73,6 +73,8 @@ def _tune(arguments: argparse.Namespace) -> int:
     batch = run_batch(
         order, progress, stream, arguments.jobs, after=partial(closing, order, arguments.csv)
     )
+    if arguments.verbose:
+        print_details(batch.results)
     print_results(batch.results)
     print(summary(batch, len(found.logs)), end="")
     return int(batch.failed > 0)

@@ -126,6 +126,13 @@ def build_parser() -> Parser:
     add("--overwrite", action="store_true", help="replace results of other logs")
     _batch_options(parser.add_argument_group("many logs"))
     add("--quiet", action="store_true", help="no progress bar")
+    add(
+        "-v",
+        "--verbose",
+        action="store_true",
+        help="say where what was found, how it was estimated, how long each part took, and what "
+        "each check saw",
+    )
     return parser
 
 

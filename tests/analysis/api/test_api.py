@@ -18,6 +18,7 @@ from tests.conftest import ROOT, Command
 SAMPLES = ROOT / "sample_logs"
 
 _OF_THE_TERMINAL = {"help", "version", "debug", "quiet", "preview", "print_completion"}
+_OF_THE_TERMINAL |= {"verbose", "json"}
 """Options without a meaning for a function."""
 
 _OF_MANY = {"logs", "output", "jobs", "overwrite", "resume", "ray", "no_review", "review_only"}
