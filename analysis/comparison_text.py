@@ -113,18 +113,38 @@ def _tested(one: ComparedQuantity) -> list[PairTest]:
     return [test for test in one.tests if test.probability is not None]
 
 
-def quantity_lines(one: ComparedQuantity, numbers: Mapping[str, str]) -> list[str]:
-    """The same, then pair by pair."""
-    lines, tests = summary_lines(one, numbers), _tested(one)
-    if len(one.tests) <= _MOST_PAIRS:
-        return [*lines, *(f"  {test_words(test, numbers)}" for test in one.tests)]
-    different = [_pair(test, numbers) for test in one.tests if test.differs]
+def named_lines(one: ComparedQuantity, numbers: Mapping[str, str]) -> list[str]:
+    """Which pairs differ and which do not, by their numbers; nothing where all are alike."""
+    tests = _tested(one)
+    different = [_pair(test, numbers) for test in tests if test.differs]
     alike = [_pair(test, numbers) for test in tests if not test.differs]
-    for words, pairs in (("differ", different), ("not told apart", alike)):
-        more = f" and {len(pairs) - _MOST_NAMED} more" if len(pairs) > _MOST_NAMED else ""
-        if pairs and (words != "differ" or alike):
-            lines.append(f"  {words}: {', '.join(pairs[:_MOST_NAMED])}{more}")
-    return lines
+    if not (different and alike):
+        return []
+    return [f"differ: {_some(different)}", f"not told apart: {_some(alike)}"]
+
+
+def caution_lines(one: ComparedQuantity, numbers: Mapping[str, str]) -> list[str]:
+    """What to bear in mind of some pairs, each of it once."""
+    pairs: dict[str, list[str]] = {}
+    for test in one.tests:
+        if test.caution:
+            pairs.setdefault(test.caution, []).append(_pair(test, numbers))
+    found = [f"{_some(some)}: {one_line(caution)}" for caution, some in pairs.items()]
+    more = [f"{len(found) - _MOST_PAIRS} more cautions"] if len(found) > _MOST_PAIRS else []
+    return [*found[:_MOST_PAIRS], *more]
+
+
+def _some(pairs: Sequence[str]) -> str:
+    more = f" and {len(pairs) - _MOST_NAMED} more" if len(pairs) > _MOST_NAMED else ""
+    return ", ".join(pairs[:_MOST_NAMED]) + more
+
+
+def quantity_lines(one: ComparedQuantity, numbers: Mapping[str, str]) -> list[str]:
+    """The same, then pair by pair; of many pairs their numbers alone."""
+    lines = [*named_lines(one, numbers), *caution_lines(one, numbers)]
+    if len(one.tests) <= _MOST_PAIRS:
+        lines = [test_words(test, numbers) for test in one.tests]
+    return [*summary_lines(one, numbers), *(f"  {line}" for line in lines)]
 
 
 def _pair(test: PairTest, numbers: Mapping[str, str]) -> str:

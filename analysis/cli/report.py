@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING
 from analysis.cli.options import jobs_option
 from tunenet_logs.commandline import Parser, run
 from tunenet_logs.errors import UsageError
+from tunenet_logs.regular_file import real_path
 from tunenet_logs.terminal import Progress, one_line
 
 if TYPE_CHECKING:
     from analysis.report.campaign_section import CampaignSection
+    from analysis.report.embedded import Kind
     from analysis.tuning_files import TuningFile
 
 _DESCRIPTION = """\
@@ -64,16 +66,20 @@ def _report(arguments: argparse.Namespace) -> int:
         raise UsageError("say what to write: -o REPORT.html, --png or --pdf")
     needed("matplotlib", "report")
     needed("jinja2", "report")
-    tunings, campaigns, inputs = _read(arguments)
-    written: list[Path] = []
+    from analysis.campaign.files import files_of
+
+    inputs = list(files_of(arguments.places, _warn))
     if arguments.output:
         _check_page(arguments, inputs)
+    tunings, campaigns = _read(arguments)
+    written: list[Path] = []
     figures = _figure_files(arguments, tunings, inputs)
     if arguments.output:
         from analysis.report.page import report_page
         from analysis.result_files import replacing
 
-        title = campaigns[0].name if campaigns else None
+        place = arguments.places[0]
+        title = real_path(place).name if place.is_dir() else None
         page = report_page(tunings, title, campaigns)
         with replacing(arguments.output) as partial:
             partial.write_text(page, "utf-8")
@@ -85,14 +91,13 @@ def _report(arguments: argparse.Namespace) -> int:
 
 def _read(
     arguments: argparse.Namespace,
-) -> tuple[Sequence[TuningFile], list[CampaignSection], list[Path]]:
-    """The tunings, the campaign where outcomes are named, and the files that are read."""
-    from analysis.campaign.files import files_of, holds_campaign
+) -> tuple[Sequence[TuningFile], list[CampaignSection]]:
+    """The tunings, and the campaign where outcomes are named."""
+    from analysis.campaign.files import holds_campaign
     from analysis.tuning_files import in_order, read_tunings
 
-    inputs = list(files_of(arguments.places, _warn))
     if not holds_campaign(arguments.places):
-        return read_tunings(arguments.places, _warn), [], inputs
+        return read_tunings(arguments.places, _warn), []
     from analysis.campaign.build import campaign_of
     from analysis.report.campaign_section import campaign_section
 
@@ -101,7 +106,7 @@ def _read(
     drops = [drop for attempt in campaign.attempts for drop in attempt.drops]
     known = dict.fromkeys(drop.tuning for drop in drops if drop.tuning is not None)
     tunings = in_order(read_tunings(list(known), _warn)) if known else ()
-    return tunings, [campaign_section(campaign)], inputs
+    return tunings, [campaign_section(campaign)]
 
 
 def _check_page(arguments: argparse.Namespace, inputs: Sequence[Path]) -> None:
@@ -116,9 +121,10 @@ def _figure_files(
     """Write the figures that were asked for."""
     from analysis.report.paper import FigureOrder, write_figures
 
+    places: dict[Kind, Path | None] = {"png": arguments.png, "pdf": arguments.pdf}
     orders = [
         FigureOrder(place, kind, inputs, overwrite=arguments.overwrite)
-        for place, kind in ((arguments.png, "png"), (arguments.pdf, "pdf"))
+        for kind, place in places.items()
         if place is not None
     ]
     return [path for order in orders for path in write_figures(order, tunings)]

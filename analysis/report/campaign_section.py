@@ -25,7 +25,6 @@ class CampaignSection:
         notes: what is not in the tables.
     """
 
-    name: str
     rates: tuple[Cells, ...]
     balls: tuple[Cells, ...]
     attempts: tuple[Cells, ...]
@@ -65,7 +64,7 @@ def campaign_section(campaign: Campaign) -> CampaignSection:
     if len(attempts) > _MOST_ROWS:
         notes.append(f"{len(attempts) - _MOST_ROWS} more attempts are not listed.")
     rows = tuple(_row(attempt) for attempt in attempts[:_MOST_ROWS])
-    return CampaignSection(campaign.name, tuple(rates), tuple(balls), rows, tuple(notes))
+    return CampaignSection(tuple(rates), tuple(balls), rows, tuple(notes))
 
 
 def _row(attempt: Attempt) -> Cells:

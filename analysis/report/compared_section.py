@@ -6,7 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from analysis.comparison import ComparedGroup, Comparison
-from analysis.comparison_text import number_words, probability_words, summary_lines, value_words
+from analysis.comparison_text import (
+    caution_lines,
+    named_lines,
+    number_words,
+    probability_words,
+    summary_lines,
+    value_words,
+)
 from analysis.pair_test import TEST_WORDS, PairTest
 from analysis.report.drawn import DrawnFigure
 from analysis.terminal_table import interval_words, quantity
@@ -80,7 +87,8 @@ def _table(group: ComparedGroup, numbers: Mapping[str, str]) -> ComparedTable:
                 row.append("?" if speed is None else f"{speed:.2f}")
         if has_speed:
             heads.append("at [m/s]")
-        lines += summary_lines(one, numbers)
+        lines.append("; ".join([*summary_lines(one, numbers), *named_lines(one, numbers)]))
+        lines += [f"{one.name}, {caution}" for caution in caution_lines(one, numbers)]
         tests += [(one.name, test) for test in one.tests]
     tests.sort(key=lambda pair: not pair[1].differs)
     shown = tuple(_test(name, test, numbers) for name, test in tests[:_MOST_TESTS])

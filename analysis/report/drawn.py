@@ -22,7 +22,8 @@ class DrawnFigure:
     """A figure within a page.
 
     Attributes:
-        is_broad: whether it takes the page's whole width.
+        shape: "broad" for one that takes the page's whole width, "tall" for one beside two others,
+            else "".
     """
 
     title: str
@@ -30,7 +31,7 @@ class DrawnFigure:
     alt: str
     source: DataUri
     is_photo: bool
-    is_broad: bool
+    shape: str
 
 
 @dataclass(eq=False)
@@ -49,13 +50,16 @@ class Room:
                 self.refused.append(drawing.title)
                 continue
             self.left -= len(source)
-            is_broad = drawing.figure.get_figwidth() > 0.8 * WIDE_IN
-            taken.append(
-                DrawnFigure(
-                    drawing.title, drawing.caption, drawing.alt, source, drawing.is_photo, is_broad
-                )
-            )
+            words = drawing.title, drawing.caption, drawing.alt
+            taken.append(DrawnFigure(*words, source, drawing.is_photo, _shape(drawing)))
         return tuple(taken)
+
+
+def _shape(drawing: Drawing) -> str:
+    width_in, height_in = drawing.figure.get_size_inches()
+    if width_in > 0.9 * WIDE_IN:
+        return "broad"
+    return "tall" if drawing.is_photo and height_in > 1.2 * width_in else ""
 
 
 def reviewed(record: Record, tuning: Path) -> tuple[ReviewedLog, str]:

@@ -169,9 +169,12 @@ def _draw_law(figure: Figure, record: Record, speeds_m_s: Array) -> None:
 
 @styled
 def iterations_drawing(record: Record) -> Drawing | None:
-    """The first parameter over the iterations, with the result's interval; None of one step."""
+    """The first parameter over the iterations, with the result's interval.
+
+    None of one step, and where there is no result: the last of them would look like one.
+    """
     steps = record.iterations
-    if len(steps) < 2 or not steps[0]:
+    if len(steps) < 2 or not steps[0] or not record.estimates:
         return None
     name = next(iter(steps[0]))
     values = [step[name] for step in steps if name in step]

@@ -40,8 +40,12 @@ _NARROWEST = 0.45
 
 _TALLEST_IN = 4.6
 
-_FRAME_IN, _TITLE_IN = 3.2, 0.22
-"""Height of a single frame at most, and of the time above it."""
+_FRAME_IN, _TITLE_IN, _COLUMNS = 2.6, 0.17, 4
+"""Height of a single frame at most, of the time above it, and how many stand side by side: on a
+phone they are still seen."""
+
+_SLIM, _TIME_IN = 4.0, 0.5
+"""Height over width of a frame from which all of them stand in one row; width of a time [in]."""
 
 _FEWEST_PX = 24
 
@@ -96,9 +100,9 @@ def frames_drawing(film: ReviewedFilm, record: Record) -> Drawing | None:
     box = _box(film, frames[0].size_px)
     left, right, bottom, top = box
     ratio = (bottom - top) / (right - left)
-    columns = min(len(frames), 4 if ratio < 1.2 else _FRAMES)
+    columns = min(len(frames), _COLUMNS if ratio < _SLIM else _FRAMES)
     rows = -(-len(frames) // columns)
-    wide_in = min(WIDE_IN / columns, _FRAME_IN / ratio)
+    wide_in = max(min(WIDE_IN / columns, _FRAME_IN / ratio), _TIME_IN)
     figure = new_figure(wide_in * columns, (wide_in * ratio + _TITLE_IN) * rows)
     grid: Any = figure.subplots(rows, columns, squeeze=False)
     for axes in grid.flat:

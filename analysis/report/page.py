@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,12 +11,14 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from analysis.comparison import Comparison, compare
+from analysis.comparison_text import number_words
 from analysis.record import Record
 from analysis.report.campaign_section import CampaignSection
 from analysis.report.compared_figures import comparison_drawings
 from analysis.report.compared_section import ComparedSection, compared_section
 from analysis.report.drawn import DrawnFigure, Room, drawings_of, missing_words, reviewed
 from analysis.report.embedded import DataUri
+from analysis.report.meanings import NEXT
 from analysis.report.section import TuningSection, section_of
 from analysis.terminal_table import interval_words
 from analysis.tuning_files import TuningFile
@@ -70,7 +73,7 @@ def report_page(
 
     Args:
         tunings: at least one, unless there is a campaign.
-        title: None for the name of the only log.
+        title: of several; a single tuning's page is called as its log.
         campaigns: at most one, whose drops they are.
     """
     detailed = tunings[:_MOST_DETAILED]
@@ -83,15 +86,21 @@ def report_page(
     left -= _WORDS_BYTES * len(detailed)
     parts = [_part(one, number, left // len(detailed)) for number, one in enumerate(detailed, 1)]
     is_one = len(tunings) == 1 and not campaigns
-    facts: tuple[str, ...] = parts[0].section.facts if is_one else (f"{len(tunings)} tunings",)
+    facts = parts[0].section.facts if is_one else _counts(tunings)
     return _rendered(
-        title=title or (tunings[0].label if is_one else f"{len(tunings)} tunings"),
+        title=tunings[0].label if is_one else title or facts[0],
         facts=facts,
         overview=() if is_one else _overview(tunings, len(detailed)),
         campaigns=campaigns,
         compared=compared,
         sections=parts,
     )
+
+
+def _counts(tunings: Sequence[TuningFile]) -> tuple[str, ...]:
+    """How many there are, of each verdict."""
+    counts = Counter(one.record.verdict for one in tunings)
+    return f"{len(tunings)} tunings", *(f"{counts[one]} {one}" for one in NEXT if counts[one])
 
 
 def comparison_page(comparison: Comparison) -> str:
@@ -139,7 +148,7 @@ def _overview_row(number: int, label: str, record: Record, anchor: str) -> Overv
         ends: Any = known.interval95
         unit = "" if known.unit == "1" else f" {known.unit}"
         interval = "no interval" if ends is None else interval_words(*ends)
-        words.append(f"{known.name} {known.value:.4f}{unit} ({interval})")
+        words.append(f"{known.name} {number_words(known.value)}{unit} ({interval})")
     said = "; ".join(words) or record.reason or "no values"
     return OverviewRow(number, label, record.verdict, said, anchor)
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from analysis.checks import Check
+from analysis.comparison_text import number_words
 from analysis.record import Record
 from analysis.report.meanings import NEXT, meaning
 from analysis.terminal_table import interval_words, quantity
@@ -154,7 +155,7 @@ def _parameters(record: Record) -> tuple[tuple[str, str, str, str], ...]:
             interval_words(*one) if one is not None else "none that is honest"
             for one in intervals or (None,)
         ]
-        numbers = ", ".join(f"{value:.4f}" for value in values)
+        numbers = ", ".join(map(number_words, values))
         name = quantity(known.name, known.unit)
         rows.append((name, numbers, "; ".join(said), meaning(record, known)))
     unknown = record.motion.unknown[:_MOST_ROWS] if rows else ()
@@ -218,7 +219,7 @@ def _iterations(record: Record, names: Sequence[str]) -> tuple[tuple[str, ...], 
     rows: list[tuple[str, ...]] = []
     for k, step in enumerate(steps[:_MOST_ROWS]):
         head = "fit" if record.is_fitted and k == len(steps) - 1 else str(k)
-        rows.append((head, *(f"{step[name]:.4f}" if name in step else "-" for name in names)))
+        rows.append((head, *(number_words(step[name]) if name in step else "-" for name in names)))
     return tuple(rows)
 
 

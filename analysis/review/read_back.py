@@ -146,7 +146,9 @@ def _film(moving: dict[str, Any], still: dict[str, Any]) -> ReviewedFilm | None:
     if not (np.isfinite(scale) and scale > 0):
         raise LogError("the review's pictures have no size")
     track = moving.get("/film/observed")
-    track_s, centers, radii = np.zeros(0), np.zeros((0, 2)), np.zeros(0)
+    track_s: Array = np.zeros(0)
+    centers: Array = np.zeros((0, 2))
+    radii: Array = np.zeros(0)
     if track is not None:
         circles = [_points(cell) for cell in track["LineStrips2D:strips"].to_pylist()]
         is_known = np.array([len(one) > 2 and bool(np.isfinite(one).all()) for one in circles])
