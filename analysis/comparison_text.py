@@ -96,26 +96,55 @@ def number_words(value: float) -> str:
     return f"{round(value, 4) + 0.0:.4f}"
 
 
-def quantity_lines(one: ComparedQuantity, numbers: Mapping[str, str]) -> list[str]:
-    """What the tests of a quantity say: in a sentence, then pair by pair."""
-    name = one.name
+def summary_lines(one: ComparedQuantity, numbers: Mapping[str, str]) -> list[str]:
+    """What the tests of a quantity say, in a sentence, and what could not be tested."""
+    name = one_line(one.name)
     bare = [numbers[value.label] for value in one.values if value.interval95 is None]
     lines = [f"{name}: no interval, not compared: {', '.join(bare)}"] if bare else []
-    tests = [test for test in one.tests if test.probability is not None]
-    if not tests:
-        if not bare:
-            lines.append(f"{name}: nothing to compare with")
-    else:
+    tests = _tested(one)
+    if tests:
         lines.append(f"{name}: {_summary(tests)}")
-    if len(one.tests) <= _MOST_PAIRS:
-        return [*lines, *(f"  {test_words(test, numbers)}" for test in one.tests)]
-    different = [_pair(test, numbers) for test in one.tests if test.differs]
-    alike = [_pair(test, numbers) for test in tests if not test.differs]
-    for words, pairs in (("differ", different), ("not told apart", alike)):
-        more = f" and {len(pairs) - _MOST_NAMED} more" if len(pairs) > _MOST_NAMED else ""
-        if pairs and (words != "differ" or alike):
-            lines.append(f"  {words}: {', '.join(pairs[:_MOST_NAMED])}{more}")
+    elif not bare:
+        lines.append(f"{name}: nothing to compare with")
     return lines
+
+
+def _tested(one: ComparedQuantity) -> list[PairTest]:
+    return [test for test in one.tests if test.probability is not None]
+
+
+def named_lines(one: ComparedQuantity, numbers: Mapping[str, str]) -> list[str]:
+    """Which pairs differ and which do not, by their numbers; nothing where all are alike."""
+    tests = _tested(one)
+    different = [_pair(test, numbers) for test in tests if test.differs]
+    alike = [_pair(test, numbers) for test in tests if not test.differs]
+    if not (different and alike):
+        return []
+    return [f"differ: {_some(different)}", f"not told apart: {_some(alike)}"]
+
+
+def caution_lines(one: ComparedQuantity, numbers: Mapping[str, str]) -> list[str]:
+    """What to bear in mind of some pairs, each of it once."""
+    pairs: dict[str, list[str]] = {}
+    for test in one.tests:
+        if test.caution:
+            pairs.setdefault(test.caution, []).append(_pair(test, numbers))
+    found = [f"{_some(some)}: {one_line(caution)}" for caution, some in pairs.items()]
+    more = [f"{len(found) - _MOST_PAIRS} more cautions"] if len(found) > _MOST_PAIRS else []
+    return [*found[:_MOST_PAIRS], *more]
+
+
+def _some(pairs: Sequence[str]) -> str:
+    more = f" and {len(pairs) - _MOST_NAMED} more" if len(pairs) > _MOST_NAMED else ""
+    return ", ".join(pairs[:_MOST_NAMED]) + more
+
+
+def quantity_lines(one: ComparedQuantity, numbers: Mapping[str, str]) -> list[str]:
+    """The same, then pair by pair; of many pairs their numbers alone."""
+    lines = [*named_lines(one, numbers), *caution_lines(one, numbers)]
+    if len(one.tests) <= _MOST_PAIRS:
+        lines = [test_words(test, numbers) for test in one.tests]
+    return [*summary_lines(one, numbers), *(f"  {line}" for line in lines)]
 
 
 def _pair(test: PairTest, numbers: Mapping[str, str]) -> str:
@@ -133,17 +162,14 @@ def _summary(tests: Sequence[PairTest]) -> str:
 
 def test_words(test: PairTest, numbers: Mapping[str, str]) -> str:
     """One test in a line."""
-    pair = _pair(test, numbers)
-    ends = interval_words(*test.interval95)
-    speed = "" if test.speed_m_s is None else f", at {test.speed_m_s:.2f} m/s"
+    difference = f"{_pair(test, numbers)}: {round(test.difference, 4) + 0.0:+.4f}"
     caution = f"; {one_line(test.caution)}" if test.caution else ""
     if test.corrected is None:
-        return f"{pair}: {round(test.difference, 4) + 0.0:+.4f}{caution}"
+        return difference + caution
+    speed = "" if test.speed_m_s is None else f", at {test.speed_m_s:.2f} m/s"
+    ends, chance = interval_words(*test.interval95), probability_words(test.corrected)
     said = "differs" if test.differs else "not told apart"
-    return (
-        f"{pair}: {round(test.difference, 4) + 0.0:+.4f} ({ends}){speed}, {probability_words(test.corrected)}: "
-        f"{said}{caution}"
-    )
+    return f"{difference} ({ends}){speed}, {chance}: {said}{caution}"
 
 
 def probability_words(probability: float) -> str:
