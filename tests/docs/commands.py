@@ -78,14 +78,12 @@ def blocks(document: Path) -> list[Block]:
         if match.group(2) == "sh"
     ]
     prose = _FENCE.sub(lambda match: re.sub(r"[^\n]", " ", match.group()), text)
-    found += [
-        (
-            match.start(),
-            _block(document, text, match.start(1), " ".join(match[1].split()), inline=True),
-        )
-        for match in _INLINE.finditer(prose)
-        if _PROGRAM.match(match[1])
-    ]
+    for match in _INLINE.finditer(prose):
+        if _PROGRAM.match(match[1]):
+            words = " ".join(match[1].split())
+            found.append(
+                (match.start(), _block(document, text, match.start(1), words, inline=True))
+            )
     return [block for _, block in sorted(found, key=lambda pair: pair[0]) if block.commands]
 
 

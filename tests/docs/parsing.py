@@ -119,7 +119,7 @@ def module_options(module: str) -> set[str]:
 
 
 def _main(script: str) -> Callable[[], object]:
-    """What a console script calls when its process is set up, which changes this process's signals."""
+    """What a script calls when its process is set up, which would change this one's signals."""
     place, _, function = scripts()[script].partition(":")
     source = inspect.getsource(getattr(importlib.import_module(place), function))
     started = re.search(r'start\("([^"]+)", "([^"]+)"\)', source)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import fnmatch
 import shutil
 from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,7 @@ _DROP = Stranger(0.8, hold_s=0.5, seconds=3.0)
 
 def stand_in(words: Sequence[str], folder: Path) -> None:
     """Make each file that a command names and that is not there, where it has a stand-in."""
-    for before, word in zip(words, words[1:], strict=False):
+    for before, word in pairwise(words):
         if before not in _OUTPUTS:
             make(folder / word)
 
@@ -61,20 +62,11 @@ def _tuning(path: Path) -> None:
 
 
 def _payload(seed: int, *held: str) -> Callable[[Path], object]:
-    words = [
-        "tunenet-record",
-        "--simulate",
-        "payload",
-        "--driver",
-        "--path",
-        "random",
-        "--seconds",
-        "5",
-        "--seed",
-    ]
+    words = ["tunenet-record", "--simulate", "payload", "--driver", "--path", "random"]
+    words += ["--seconds", "5", "--seed", str(seed), *held]
 
     def write(path: Path) -> None:
-        made = run_in_process((*words, str(seed), *held, "-o", str(path)), path.parent)
+        made = run_in_process((*words, "-o", str(path)), path.parent)
         assert made.returncode == 0, made.stderr
 
     return write
@@ -149,7 +141,7 @@ def _claps(path: Path) -> None:
 def _vicon(path: Path) -> None:
     """A log of a type of a lab's own, with the height in a field."""
     log = RosLog({"vicon_msgs/msg/Marker": "std_msgs/Header header\nfloat64 z_trans\n"})
-    seconds, positions = _seconds_and_metres()
+    _, positions = _seconds_and_metres()
     messages = [
         log.make("vicon_msgs/msg/Marker", header=log.header(at), z_trans=float(height))
         for at, height in enumerate(positions[:, 2])

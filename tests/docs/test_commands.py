@@ -40,6 +40,9 @@ _BIN = Path(sys.executable).parent
 _INCOMPLETE = ("required", "expected one argument")
 """What a parser says of a command that stands between words and leaves out what follows."""
 
+_VERBS = {"info", "check", "recover", "import"}
+"""Of `tunenet-logs`, named between words."""
+
 Run = Callable[[Sequence[str], Path], subprocess.CompletedProcess[str]]
 
 
@@ -49,10 +52,7 @@ def is_ours(command: Shown) -> bool:
 
 def is_a_mention(command: Shown) -> bool:
     """Whether it stands for many commands, or is the name of one."""
-    return len(command.words) == 1 or command.is_a_pattern or command.words[-1] in VERBS
-
-
-VERBS = {"info", "check", "recover", "import"}
+    return len(command.words) == 1 or command.is_a_pattern or command.words[-1] in _VERBS
 
 
 def is_run(command: Shown, *, slow: bool) -> bool:
@@ -76,7 +76,7 @@ def test_every_command_is_recognised():
     unknown = [
         f"{one.place}: {one.text}"
         for one in COMMANDS
-        if not is_ours(one) and not reason(NOT_RUN | VIEWER, one.text)
+        if not is_ours(one) and not reason({**NOT_RUN, **VIEWER}, one.text)
     ]
     assert not unknown, _shown(unknown)
 
