@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from tunenet_logs.arrays import Array
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 MOST_SAMPLES = 20_000
 """Of one curve: a minute of what the fastest motion capture sees."""
@@ -25,6 +29,13 @@ class Curves:
     seconds: Array
     observed_m: Array
     simulated_m: Array
+
+    def to_frame(self) -> pd.DataFrame:
+        """As a table: index `seconds`, columns `observed_m` and `simulated_m`."""
+        import pandas as pd
+
+        curves = {"observed_m": self.observed_m, "simulated_m": self.simulated_m}
+        return pd.DataFrame(curves, index=pd.Index(self.seconds, name="seconds"))
 
 
 @dataclass(frozen=True)

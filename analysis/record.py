@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from analysis.checks import Check, CrossCheck, Verdict
 from analysis.estimators.base import Trace
@@ -15,7 +18,30 @@ from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from analysis.experiment import Experiment
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where a record comes from.
+
+    Attributes:
+        version: of this package.
+        log_sha256: of the log; of a folder, of the names and contents of its files.
+        options: those that differ from the defaults, by name.
+        tares: name and SHA-256 of each empty run.
+        date: when it was tuned, ISO 8601 in UTC.
+        engine: the simulator's, with its version; None where nothing was simulated.
+    """
+
+    version: str
+    log_sha256: str
+    options: Mapping[str, Any]
+    tares: tuple[Mapping[str, str], ...]
+    date: str
+    engine: str | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +60,7 @@ class Tuning:
         simulator: "engine", "preset", "step_hz"; None where nothing was simulated.
         digest: SHA-256 of the weights; "" without.
         seconds: wall time of "read", "observe", "tune", "total".
+        provenance: where it comes from; None where nobody asked.
     """
 
     log: Path
@@ -55,6 +82,16 @@ class Tuning:
     method: str | None = None
     digest: str = ""
     seconds: dict[str, float] = field(default_factory=dict)
+    provenance: Provenance | None = None
+
+    @cached_property
+    def record(self) -> Record:
+        """What is kept of it: what a JSON holds, without the log's samples."""
+        return record_of(self)
+
+    def to_frame(self) -> pd.DataFrame:
+        """The values as a table; see `Record.to_frame`."""
+        return self.record.to_frame()
 
     @property
     def physical(self) -> bool:
@@ -121,27 +158,6 @@ class Rebound:
     impact_speed_m_s: float | None
 
 
-@dataclass(frozen=True)
-class Provenance:
-    """Where a record comes from.
-
-    Attributes:
-        version: of this package.
-        log_sha256: of the log; of a folder, of the names and contents of its files.
-        options: those that differ from the defaults, by name.
-        tares: name and SHA-256 of each empty run.
-        date: when it was tuned, ISO 8601 in UTC.
-        engine: the simulator's, with its version; None where nothing was simulated.
-    """
-
-    version: str
-    log_sha256: str
-    options: Mapping[str, Any]
-    tares: tuple[Mapping[str, str], ...]
-    date: str
-    engine: str | None
-
-
 @dataclass(frozen=True, eq=False)
 class Record:
     """What one tuning says.
@@ -191,8 +207,29 @@ class Record:
         """The quantity of that name; None where it was not found."""
         return next((known for known in self.estimates if known.name == name), None)
 
+    def to_frame(self) -> pd.DataFrame:
+        """The values as a table: a row for each number, `payload_com[0]` of several.
 
-def record_of(tuning: Tuning, provenance: Provenance | None = None) -> Record:
+        Index `parameter`; columns `value`, `low95`, `high95` (NaN where no interval is honest) and
+        `unit`. No rows for a rejected log.
+        """
+        import pandas as pd
+
+        rows: list[tuple[str, float, float, float, str]] = []
+        for known in self.estimates:
+            is_single = isinstance(known.value, float)
+            values = np.atleast_1d(known.value)
+            ends = np.full((len(values), 2), np.nan)
+            if known.interval95 is not None:
+                ends = np.reshape(known.interval95, (-1, 2))
+            for at, (value, (low, high)) in enumerate(zip(values, ends, strict=True)):
+                name = known.name if is_single else f"{known.name}[{at}]"
+                rows.append((name, float(value), float(low), float(high), known.unit))
+        columns = ["parameter", "value", "low95", "high95", "unit"]
+        return pd.DataFrame(rows, columns=columns).set_index("parameter")
+
+
+def record_of(tuning: Tuning) -> Record:
     """The record of a tuning, with where it comes from if that is known."""
     detection, trace, experiment = tuning.detection, tuning.trace, tuning.experiment
     intervals = tuning.interval95
@@ -248,6 +285,6 @@ def record_of(tuning: Tuning, provenance: Provenance | None = None) -> Record:
         topic=None if detection is None else detection.topic,
         window=window,
         seconds=tuning.seconds,
-        provenance=provenance,
+        provenance=tuning.provenance,
         motion=motion,
     )

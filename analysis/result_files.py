@@ -117,20 +117,37 @@ def check_own(results: Path, review: Path, log: Path, sha256: str) -> None:
     Raises:
         LogError: one of them is there, and not of this log; the message names both.
     """
-    choose = "choose another folder with -o, or pass --overwrite"
     if results.exists():
-        record = None
-        with suppress(LogError):
-            record = read_record(results)
-        if record is None:
-            raise LogError(f"{results}: exists, and is no tuning of {log.name}; {choose}")
-        known = record.provenance.log_sha256 if record.provenance else None
-        could_not_be_read = known == "" and record.log == log.name
-        if known != sha256 and not could_not_be_read:
-            named = f"another {log.name}, or of this one before it changed"
-            named = named if record.log == log.name else record.log
-            raise LogError(f"{results}: is the tuning of {named}, not of {log} as it is; {choose}")
-    elif review.exists():
-        with open_regular(review) as file:
-            if review_name(sha256).encode() not in file.read(_HEADER_BYTES):
-                raise LogError(f"{review}: exists, and is no review of {log.name}; {choose}")
+        check_own_json(results, log, sha256)
+    else:
+        check_own_review(review, log, sha256)
+
+
+_CHOOSE = "choose another folder with -o, or pass --overwrite"
+
+
+def check_own_json(results: Path, log: Path, sha256: str) -> None:
+    """Refuse to replace a JSON that is no tuning of this log; see `check_own`."""
+    if not results.exists():
+        return
+    record = None
+    with suppress(LogError):
+        record = read_record(results)
+    if record is None:
+        raise LogError(f"{results}: exists, and is no tuning of {log.name}; {_CHOOSE}")
+    known = record.provenance.log_sha256 if record.provenance else None
+    has_its_name = not known and record.log == log.name  # of a log that could not be read
+    if not has_its_name and (known != sha256 or not sha256):
+        named = f"another {log.name}, or of this one before it changed"
+        named = named if record.log == log.name else record.log
+        raise LogError(f"{results}: is the tuning of {named}, not of {log} as it is; {_CHOOSE}")
+
+
+def check_own_review(review: Path, log: Path, sha256: str) -> None:
+    """Refuse to replace a recording that is no review of this log; see `check_own`."""
+    if not review.exists():
+        return
+    with open_regular(review) as file:
+        is_own = review_name(sha256).encode() in file.read(_HEADER_BYTES)
+    if not (is_own and sha256):
+        raise LogError(f"{review}: exists, and is no review of {log.name}; {_CHOOSE}")

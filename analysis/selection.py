@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from recorders.simulators.balls import UNKNOWN_BALL, Ball
-from tunenet_logs.episode import Episode
 from tunenet_logs.errors import NotFoundError
 from tunenet_logs.formats.read_options import AS_IT_SAYS, ReadOptions
 
 if TYPE_CHECKING:
     from analysis.payload.arm_card import ArmCard
+    from tunenet_logs.episode import Episode
 
 
 @dataclass(frozen=True)

@@ -118,22 +118,16 @@ def read_options_of(arguments: argparse.Namespace) -> ReadOptions:
     Raises:
         UsageError: one is not understood.
     """
-    from tunenet_logs.formats.read_options import ReadOptions, columns_of
-    from tunenet_logs.formats.tables.meaning import LENGTHS
+    from tunenet_logs.formats.read_options import reading_of
 
-    unit, constants = arguments.length_unit or "", arguments.torque_constants or ""
-    if unit and unit not in (*LENGTHS, "px"):
-        raise UsageError(f"--length-unit {unit[:20]!r} is not known; write m, cm, mm, in, ft or px")
-    try:
-        values = tuple(float(one) for one in constants.split(",") if constants)
-    except ValueError:
-        values = (0.0,)
-    if not all(0 < abs(value) < 1e6 for value in values):
-        raise UsageError(
-            f"--torque-constants {constants[:40]!r} are no numbers; write them as 10.5,10.5,8.1"
-        )
-    columns = columns_of(arguments.columns) if arguments.columns else {}
-    return ReadOptions(columns, arguments.fps, unit, values)
+    return reading_of(
+        {
+            "columns": arguments.columns,
+            "fps": arguments.fps,
+            "length_unit": arguments.length_unit,
+            "torque_constants": arguments.torque_constants,
+        }
+    )
 
 
 def print_traceback() -> None:

@@ -12,13 +12,16 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from analysis.batch.ledger_row import Cell, LedgerRow
 from analysis.batch.result_names import OF_BATCH
 from analysis.result_files import replacing, writable
 from tunenet_logs.errors import LogError, UsageError
 from tunenet_logs.regular_file import open_regular
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _TEXTS = ("log", "verdict", "reason", "error", "task", "method", "ball", "topic", "sha256")
 _TEXTS += ("results", "tuned", "version", "engine", "options")
@@ -83,6 +86,13 @@ class Ledger:
 def ledger_file(folder: Path) -> Path:
     """The table of a folder of results."""
     return folder / f"{OF_BATCH}.parquet"
+
+
+def read_ledger(table: Path) -> pd.DataFrame:
+    """The table of `ledger_file`, a row a log."""
+    import pandas as pd
+
+    return pd.read_parquet(table)
 
 
 def _journal_file(folder: Path) -> Path:

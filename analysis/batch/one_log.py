@@ -4,28 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, fields, replace
-from datetime import UTC, datetime
-from importlib.metadata import version
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from analysis.batch.found_logs import is_remote
 from analysis.batch.ledger_row import LedgerRow, LogState, ledger_row
 from analysis.batch.result_names import result_files
-from analysis.record import Provenance, Record, Tuning, record_of
+from analysis.provenance import provenance_of
+from analysis.record import Record, Tuning
 from analysis.record_json import to_json
 from analysis.report import Row, row_of
 from analysis.result_files import check_own, log_sha256, replacing
 from analysis.review.tuning_review import write_review
-from analysis.selection import Options, Selection
+from analysis.selection import Options
 from analysis.tuning import tune_log
 from tunenet_logs.commandline import print_traceback
 from tunenet_logs.errors import LogError, UsageError, WeightsError
 
 _DIED = "the process that tuned it died each time (out of memory?)"
 
-Also = Callable[[Tuning, Provenance], None]
+Also = Callable[[Tuning], None]
 """Writes something of a tuning, and raises LogError or OSError where it cannot."""
 
 
@@ -110,13 +108,13 @@ def _of_file(work: Work, log: Path, state: LogState, options: Options, writing: 
     if is_log and not sha256:
         with suppress(OSError):
             sha256 = log_sha256(log)
-    provenance = _provenance(tuning, sha256, options)
-    record = record_of(tuning, provenance)
+    tuning = replace(tuning, provenance=provenance_of(tuning, sha256, options))
+    record = tuning.record
     review, trouble = None, None
     try:
         if is_log and (sha256 or not files[0].exists()):
             review = _write(work.name, tuning, record, writing)
-            trouble = writing.also and _trouble(writing.also, tuning, provenance)
+            trouble = writing.also and _trouble(writing.also, tuning)
     except (OSError, UnicodeError) as error:  # the latter for a name that Rerun cannot take
         place, why = work.name.parent, "its name is not UTF-8"
         if isinstance(error, OSError):
@@ -164,57 +162,19 @@ def _write(name: Path, tuning: Tuning, record: Record, writing: Writing) -> Path
 def _untuned(work: Work, options: Options, reason: str, state: LogState, error: str) -> Result:
     log = Path(work.log)
     tuning = Tuning(log, options.task, options.preset, "rejected", reason)
-    record = record_of(tuning, _provenance(tuning, "", options))
+    tuning = replace(tuning, provenance=provenance_of(tuning, "", options))
+    record = tuning.record
     row = replace(row_of(tuning, record), log=work.log)
     entry = ledger_row(work.log, work.name, record, state, error=error)
     return Result(row, entry, trouble=None if error == reason else error)
 
 
-def _trouble(also: Also, tuning: Tuning, provenance: Provenance) -> str | None:
+def _trouble(also: Also, tuning: Tuning) -> str | None:
     """Keep what else is wanted of a tuning; why that was not possible, else None."""
     try:
-        also(tuning, provenance)
+        also(tuning)
     except LogError as error:
         return str(error)
     except OSError as error:
         return f"{error.filename}: cannot be written ({error.strerror}); choose another place"
     return None
-
-
-def _provenance(tuning: Tuning, sha256: str, options: Options) -> Provenance:
-    """Where the record of a tuning comes from."""
-    return Provenance(
-        version=version("tunenet-logs"),
-        log_sha256=sha256,
-        options={**_given(options, Options()), **_given(options.selection, Selection())},
-        tares=tuple(_named(tare) for tare in options.selection.tares if isinstance(tare, Path)),
-        date=datetime.now(UTC).isoformat(timespec="seconds"),
-        engine=None if tuning.simulator is None else tuning.simulator["engine"],
-    )
-
-
-def _named(tare: Path) -> dict[str, str]:
-    """A tare's name and SHA-256."""
-    try:
-        return {"log": tare.name, "sha256": log_sha256(tare)}
-    except OSError:  # the tuning was rejected for it
-        return {"log": tare.name, "sha256": ""}
-
-
-def _given(options: Options | Selection, defaults: Options | Selection) -> dict[str, Any]:
-    """What differs from the defaults, as JSON has it; files by their names."""
-    found: dict[str, Any] = {}
-    for field in fields(options):
-        value = getattr(options, field.name)
-        if value == getattr(defaults, field.name) or field.name in ("selection", "tares"):
-            continue
-        if isinstance(value, Path):
-            value = value.name
-        elif field.name in ("hints", "ball"):
-            value = {part.name: getattr(value, part.name) for part in fields(value)}
-        elif field.name == "arm" and isinstance(value, tuple):
-            value = {"urdf": value[0].name, "tool_link": value[1]}
-        elif field.name == "arm_card":
-            value = {"file": value.file, "logs": [run["log"] for run in value.runs]}
-        found[field.name] = value
-    return found

@@ -130,35 +130,29 @@ def _check_words(engine: ExportFormat, path: Path, ball: ExportedBall) -> str:
 
 
 def _item(arguments: argparse.Namespace, engine: ExportFormat) -> ExportedBall | ExportedPayload:
-    from analysis.export.exported import ExportedBall
-    from analysis.export.from_record import ExportOptions, exported
+    from analysis.export.files import exported_for
+    from analysis.export.from_record import ExportOptions
     from analysis.record_json import read_record
 
-    if arguments.step is not None and engine.STEP_S is None:
-        raise UsageError(f"a file for {engine.NAME} holds no time step: leave --step out")
     said = ExportOptions(arguments.speed, arguments.radius, arguments.mass, arguments.step)
     record = read_record(arguments.tuning)
     try:
-        item = exported(record, said)
+        return exported_for(engine, record, said)
     except TuneNetError as error:
         raise type(error)(f"{arguments.tuning}: {error}") from error
-    if isinstance(item, ExportedBall) and hasattr(engine, "HAS_AIR"):
-        return item.in_air()
-    return item
 
 
 def _texts(
     arguments: argparse.Namespace, engine: ExportFormat, item: ExportedBall | ExportedPayload
 ) -> dict[Path, str]:
     """The files to write."""
-    from analysis.export.registry import texts, usual_suffix
+    from analysis.export.files import export_texts
+    from analysis.export.registry import usual_suffix
 
     path = arguments.output
     if path is None:
         path = arguments.tuning.with_suffix(usual_suffix(engine))
-    if path.suffix != engine.SUFFIX:
-        raise UsageError(f"{path}: is for {engine.NAME}; give -o a name that ends {engine.SUFFIX}")
-    return {path.with_suffix(suffix): text for suffix, text in texts(engine, item).items()}
+    return export_texts(engine, item, path)
 
 
 def _check_free(path: Path, arguments: argparse.Namespace) -> None:

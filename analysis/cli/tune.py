@@ -10,17 +10,18 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from analysis.cli.options import known_arm, known_ball, known_card, known_tares, of_efforts
+from analysis.cli.options import check_card_place
 from analysis.cli.tune_words import build_parser
 from recorders.engine_option import in_engine
-from tunenet_logs.commandline import read_options_of, run
+from tunenet_logs.commandline import run
 from tunenet_logs.errors import NotFoundError, UsageError
 from tunenet_logs.terminal import Progress, listed
 
 if TYPE_CHECKING:
     from analysis.batch.one_log import Writing
-    from analysis.record import Provenance, Tuning
+    from analysis.record import Tuning
     from analysis.selection import Selection
+    from analysis.tune_options import TuneOptions
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -32,44 +33,19 @@ def _tune(arguments: argparse.Namespace) -> int:
     from analysis.batch.found_logs import find_logs
     from analysis.batch.run import Order, run_batch
     from analysis.batch.summary import closing, print_results, summary
-    from analysis.selection import Hints, Options, Selection
+    from analysis.tune_options import ball_doubts, options_of
 
-    if None not in (arguments.start, arguments.end) and arguments.start >= arguments.end:
-        raise UsageError(f"--start {arguments.start:g} is not before --end {arguments.end:g}")
-    if arguments.hsv is not None and arguments.ball_at is not None:
-        raise UsageError("--hsv does not go with --ball-at; leave one out")
     if arguments.preview:
         _check_preview(arguments)
+    check_card_place(arguments)
     progress = Progress(quiet=arguments.quiet)
-    reading, constants = of_efforts(arguments, read_options_of(arguments))
-    tares = known_tares(arguments)
-    selection = Selection(
-        arguments.topic,
-        arguments.start,
-        arguments.end,
-        Hints(arguments.roi, arguments.hsv, arguments.ball_at),
-        known_ball(arguments),
-        tares,
-        known_arm(arguments),
-        arguments.height,
-        arguments.gravity,
-        arguments.effort_sign,
-        arguments.effort_unit,
-        constants,
-        known_card(arguments, tares),
-        reading,
-    )
-    options = Options(
-        task=arguments.task,
-        preset=arguments.preset,
-        iterations=arguments.iterations,
-        initial=arguments.initial,
-        method=arguments.method,
-        weights=arguments.weights,
-        selection=_marked(arguments.logs[0], selection, progress)
-        if arguments.preview
-        else selection,
-    )
+    given = given_options(arguments)
+    options = options_of(given, arguments.logs)
+    for doubt in ball_doubts(given, options.selection.ball):
+        progress.say(f"tunenet-tune: {doubt}")
+    if arguments.preview:
+        selection = _marked(arguments.logs[0], options.selection, progress)
+        options = replace(options, selection=selection)
     found = find_logs(arguments.logs)
     wants_ledger = arguments.resume or arguments.csv is not None
     if wants_ledger and arguments.output is None:
@@ -102,6 +78,40 @@ def _tune(arguments: argparse.Namespace) -> int:
     return int(batch.failed > 0)
 
 
+def given_options(arguments: argparse.Namespace) -> TuneOptions:
+    """What was said, by the names that Python has for it."""
+    return {
+        "task": arguments.task,
+        "preset": arguments.preset,
+        "method": arguments.method,
+        "iterations": arguments.iterations,
+        "initial": arguments.initial,
+        "weights": arguments.weights,
+        "topic": arguments.topic,
+        "start_s": arguments.start,
+        "end_s": arguments.end,
+        "height_m": arguments.height,
+        "roi": arguments.roi,
+        "hsv": arguments.hsv,
+        "ball_at": arguments.ball_at,
+        "ball": arguments.ball,
+        "ball_diameter_m": arguments.ball_diameter,
+        "ball_mass_kg": arguments.ball_mass,
+        "tares": arguments.tare or (),
+        "arm": arguments.arm,
+        "urdf": arguments.urdf,
+        "tool_link": arguments.tool_link,
+        "gravity": arguments.gravity,
+        "effort_sign": arguments.effort_sign,
+        "effort_unit": arguments.effort_unit,
+        "arm_card": arguments.arm_card,
+        "columns": arguments.columns,
+        "fps": arguments.fps,
+        "length_unit": arguments.length_unit,
+        "torque_constants": arguments.torque_constants,
+    }
+
+
 def _writing(arguments: argparse.Namespace) -> Writing:
     """What is written of each log."""
     from analysis.batch.one_log import Writing
@@ -114,9 +124,7 @@ def _writing(arguments: argparse.Namespace) -> Writing:
     return Writing(arguments.overwrite, reviewed, _saving_card(arguments))
 
 
-def _saving_card(
-    arguments: argparse.Namespace,
-) -> Callable[[Tuning, Provenance], None] | None:
+def _saving_card(arguments: argparse.Namespace) -> Callable[[Tuning], None] | None:
     """Writes what a tuning learns of its arm; None where nobody asks for it."""
     if arguments.save_arm_card is None:
         return None

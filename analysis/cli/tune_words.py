@@ -13,6 +13,7 @@ from analysis.cli.options import (
     ray_option,
 )
 from analysis.registry import METHODS, kinds
+from analysis.tune_options import MOST_ITERATIONS, RANGES
 from recorders.engine_option import engine_option
 from tunenet_logs.commandline import Parser, number, reading_options, whole
 
@@ -78,11 +79,16 @@ def build_parser() -> Parser:
         help="channel with the ball's position (default: /ball/pose, one named like a "
         "ball, else the first in which a ball drops), with pictures of it, or with torques",
     )
-    add("--start", type=number(0, 1e9, "s"), metavar="S", help="leave out what comes before [s]")
-    add("--end", type=number(0, 1e9, "s"), metavar="S", help="leave out what comes after [s]")
+    add(
+        "--start",
+        type=number(*RANGES["start_s"]),
+        metavar="S",
+        help="leave out what comes before [s]",
+    )
+    add("--end", type=number(*RANGES["end_s"]), metavar="S", help="leave out what comes after [s]")
     add(
         "--height",
-        type=number(1e-3, 100, "m"),
+        type=number(*RANGES["height_m"]),
         metavar="M",
         help="of the drop, where a log holds impact times alone [m]",
     )
@@ -103,7 +109,7 @@ def build_parser() -> Parser:
     )
     add(
         "--iterations",
-        type=whole(1, 1000),
+        type=whole(1, MOST_ITERATIONS),
         default=5,
         metavar="K",
         help="rollouts that the method may spend, before those that check its answer (default: 5)",

@@ -8,17 +8,16 @@ from pathlib import Path
 from analysis.payload.arm_card import ArmCard, arm_sha256, card_text, read_arm_card
 from analysis.payload.detection import PayloadDetection
 from analysis.payload.torque_terms import arm_terms
-from analysis.record import Provenance, Tuning
+from analysis.record import Tuning
 from analysis.result_files import replacing
 from tunenet_logs.errors import LogError, UsageError
 
 
-def save_arm_card(tuning: Tuning, provenance: Provenance, path: Path, *, overwrite: bool) -> None:
+def save_arm_card(tuning: Tuning, path: Path, *, overwrite: bool) -> None:
     """Write what a tuning learnt of its arm, and what the card said that it was made with.
 
     Args:
-        tuning: of a log.
-        provenance: with the SHA-256 of it and of its tares.
+        tuning: of a log, with where it comes from.
         path: where to.
         overwrite: whether the card of other runs may be replaced; another file never is.
 
@@ -27,7 +26,9 @@ def save_arm_card(tuning: Tuning, provenance: Provenance, path: Path, *, overwri
         OSError: it cannot be written.
     """
     detection = tuning.detection
-    if tuning.verdict == "rejected" or not isinstance(detection, PayloadDetection):
+    provenance = tuning.provenance
+    is_payload = isinstance(detection, PayloadDetection) and tuning.verdict != "rejected"
+    if not is_payload or provenance is None:
         raise LogError(f"{path}: not written: {tuning.log} shows no payload, and so no arm")
     log = {"log": tuning.log.name, "sha256": provenance.log_sha256}
     before = detection.card.runs if detection.card else ()

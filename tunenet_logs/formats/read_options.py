@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TypedDict
 
 from tunenet_logs.errors import UsageError
 from tunenet_logs.formats.tables.meaning import LENGTHS
@@ -17,6 +19,30 @@ _ASSIGNMENT = re.compile(rf"(?:^|,)\s*({_TARGETS})\s*=")
 
 COLUMNS_EXAMPLE = "t=Zeit,z='Height (cm)', or by number from 1: t=1,z=2; of a log: z=/ball.z"
 """What `--columns` takes, for messages."""
+
+
+RATES_HZ = (1e-3, 1e7)
+"""Least and greatest rate of frames that may be said."""
+
+_LARGEST_CONSTANT = 1e6
+
+
+class ReadingOptions(TypedDict, total=False):
+    """What may be said of a file that does not say it itself.
+
+    Attributes:
+        columns: which column is which, as `{"t": "Zeit", "z": "Hoehe (cm)"}` or
+            `"t=Zeit,z=Hoehe (cm)"`.
+        fps: frames a second, of a file that counts frames and says no times.
+        length_unit: of positions: "m", "cm", "mm", "in", "ft" or "px".
+        torque_constants: torque at the joint for each A of its motor's current [N·m/A], joint by
+            joint, or one number for all.
+    """
+
+    columns: str | Mapping[str, str] | None
+    fps: float | None
+    length_unit: str | None
+    torque_constants: str | float | Sequence[float] | None
 
 
 @dataclass(frozen=True)
@@ -76,3 +102,35 @@ def columns_of(text: str) -> dict[str, str]:
             raise UsageError(f"--columns says twice what {mark[1]} is; say it once")
         found[mark[1]] = name
     return found
+
+
+def reading_of(given: ReadingOptions) -> ReadOptions:
+    """What is said of a file, checked; what is missing or None is not said.
+
+    Raises:
+        UsageError: a value that makes no sense.
+    """
+    columns, unit, rate_hz = (given.get(name) for name in ("columns", "length_unit", "fps"))
+    if unit and unit not in (*LENGTHS, "px"):
+        raise UsageError(f"--length-unit {unit[:20]!r} is not known; write m, cm, mm, in, ft or px")
+    if rate_hz is not None and not RATES_HZ[0] <= rate_hz <= RATES_HZ[1]:
+        raise UsageError(f"--fps {rate_hz!r} is no rate; write frames a second, such as 240")
+    columns = columns_of(columns) if isinstance(columns, str) else dict(columns or {})
+    return ReadOptions(columns, rate_hz, unit or "", _constants(given.get("torque_constants")))
+
+
+def _constants(given: str | float | Sequence[float] | None) -> tuple[float, ...]:
+    """Torque for each A of a current [N·m/A], joint by joint."""
+    if given is None:
+        return ()
+    parts = given.split(",") if isinstance(given, str) else given
+    try:
+        values = tuple(map(float, parts if isinstance(parts, Sequence) else (parts,)))
+    except ValueError:
+        values = (math.nan,)
+    if not all(0 < abs(value) < _LARGEST_CONSTANT for value in values):
+        shown = str(given)[:40]
+        raise UsageError(
+            f"--torque-constants {shown!r} are no numbers; write them as 10.5,10.5,8.1"
+        )
+    return values

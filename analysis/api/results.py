@@ -1,0 +1,180 @@
+"""Results from Python: kept, reviewed, exported."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from analysis.record import Record, Tuning
+from analysis.tune_options import AnyPath
+from tunenet_logs.errors import LogError, UsageError
+
+if TYPE_CHECKING:
+    from analysis.campaign.build import Campaign
+
+
+def read_tuning(path: AnyPath) -> Record:
+    """What one tuning said, from the JSON that `tunenet-tune` or `save_tuning` wrote.
+
+    Raises:
+        LogError: it cannot be read, or is no tuning.
+    """
+    from analysis.record_json import read_record
+
+    return read_record(Path(path))
+
+
+def save_tuning(tuning: Tuning | Record, path: AnyPath, *, overwrite: bool = False) -> Path:
+    """Write the JSON of a tuning, whole or not at all; see docs/tuning.md for its keys.
+
+    Args:
+        tuning: or its record.
+        path: of the JSON.
+        overwrite: whether a file that is no tuning of the same log may be replaced.
+
+    Raises:
+        LogError: something else is there, or it cannot be written.
+    """
+    from analysis.record_json import to_json
+    from analysis.result_files import check_own_json, replacing, writable
+
+    record = tuning.record if isinstance(tuning, Tuning) else tuning
+    place = Path(path)
+    if not overwrite:
+        check_own_json(place, *_log_of(record))
+    with writable(place, "choose another place"), replacing(place) as unfinished:
+        unfinished.write_text(to_json(record), "utf-8", errors="backslashreplace")
+    return place
+
+
+def review(tuning: Tuning, path: AnyPath, *, overwrite: bool = False) -> Path:
+    """Write the review of a tuning, for `rerun PATH` or Rerun's viewer in a notebook.
+
+    Args:
+        tuning: of a log that could be read.
+        path: of the recording, `NAME.rrd`.
+        overwrite: whether a file that is no review of this log may be replaced.
+
+    Raises:
+        UsageError: the name does not end so.
+        LogError: the log could not be read, something else is there, or it cannot be written.
+    """
+    from analysis.result_files import check_own_review, replacing, writable
+    from analysis.review.tuning_review import write_review
+
+    place = _rrd(path)
+    if tuning.episode is None:
+        raise LogError(f"{tuning.log}: could not be read, so there is nothing to review")
+    if not overwrite:
+        check_own_review(place, *_log_of(tuning.record))
+    with writable(place, "choose another place"), replacing(place) as unfinished:
+        write_review(tuning, tuning.record, unfinished)
+    return place
+
+
+def review_campaign(
+    places: AnyPath | Iterable[AnyPath], path: AnyPath, *, jobs: int | None = None
+) -> Campaign:
+    """Write the review of a campaign, as `tunenet-review` does; its attempts come back.
+
+    Args:
+        places: folders, logs, tunings, outcomes, tables of outcomes.
+        path: of the recording, `NAME.rrd`; a file of that name is replaced.
+        jobs: processes for the drops that were not tuned yet; None for all cores.
+
+    Raises:
+        UsageError: nothing of a campaign is there.
+        LogError: it cannot be written.
+    """
+    from analysis.campaign.build import campaign_of
+    from analysis.result_files import writable
+    from analysis.review.campaign import write_campaign
+    from tunenet_logs.terminal import Progress
+
+    place = _rrd(path)
+    named = [places] if isinstance(places, str | PathLike) else list(places)
+    campaign = campaign_of(list(map(Path, named)), jobs, Progress(quiet=True), _warn)
+    with writable(place, "choose another place"):
+        write_campaign(campaign, place)
+    return campaign
+
+
+def save_arm_card(tuning: Tuning, path: AnyPath, *, overwrite: bool = False) -> Path:
+    """Write what a tuned payload's log says of the arm, for `tune(..., arm_card=PATH)`.
+
+    Raises:
+        LogError: it says nothing, something else is there, or it cannot be written.
+    """
+    from analysis.payload.card_saving import save_arm_card as save
+    from analysis.result_files import writable
+
+    with writable(Path(path), "choose another place"):
+        save(tuning, Path(path), overwrite=overwrite)
+    return Path(path)
+
+
+def export(
+    tuning: Tuning | Record,
+    to: str,
+    path: AnyPath,
+    *,
+    speed_m_s: float | None = None,
+    radius_m: float | None = None,
+    mass_kg: float | None = None,
+    step_s: float | None = None,
+    overwrite: bool = False,
+) -> tuple[Path, ...]:
+    """Write the tuned ball or payload as a file of an engine; see docs/engines.md.
+
+    Args:
+        tuning: or its record.
+        to: "pybullet", "mujoco", "sdf", "urdf", "drake", "newton", "isaac", "yaml" or "json".
+        path: of the file, with the engine's suffix.
+        speed_m_s: of the impact for which the restitution is to be right.
+        radius_m: of the ball.
+        mass_kg: of the ball.
+        step_s: the engine's time step.
+        overwrite: whether files of that name may be replaced.
+
+    Returns:
+        The files that were written: some engines need two.
+
+    Raises:
+        UsageError: no such engine, or an option that does not go with it.
+        LogError: the tuning holds no value that can be exported, or a file cannot be written.
+        NotFoundError: the tuning was rejected.
+    """
+    from analysis.export.files import engine_format, export_texts, exported_for
+    from analysis.export.from_record import ExportOptions
+    from analysis.result_files import replacing, writable
+
+    record = tuning.record if isinstance(tuning, Tuning) else tuning
+    said = ExportOptions(speed_m_s, radius_m, mass_kg, step_s)
+    engine = engine_format(to)
+    texts = export_texts(engine, exported_for(engine, record, said), Path(path))
+    for place in texts:
+        if place.exists() and not overwrite:
+            raise LogError(f"{place}: exists; choose another place, or pass overwrite=True")
+    for place, text in texts.items():
+        with writable(place, "choose another place"), replacing(place) as unfinished:
+            unfinished.write_text(text, "utf-8")
+    return tuple(texts)
+
+
+def _log_of(record: Record) -> tuple[Path, str]:
+    """Name and SHA-256 of a record's log."""
+    return Path(record.log), record.provenance.log_sha256 if record.provenance else ""
+
+
+def _rrd(path: AnyPath) -> Path:
+    place = Path(path)
+    if place.suffix != ".rrd":
+        raise UsageError(f"{place}: what is written is a recording; name it {place.stem}.rrd")
+    return place
+
+
+def _warn(text: str) -> None:
+    warnings.warn(text, stacklevel=4)

@@ -1,0 +1,143 @@
+"""Logs tuned from Python: one, or many."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Generator, Iterable
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from functools import partial
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, Unpack
+
+from analysis.record import Tuning
+from analysis.tune_options import AnyPath, TuneOptions, ball_doubts, options_of
+from tunenet_logs.episode import Episode
+
+if TYPE_CHECKING:
+    import pandas as pd  # pyright: ignore[reportMissingTypeStubs] (it ships its own types)
+
+Reviewed = Literal["all", "none", "ok", "suspect", "rejected"]
+
+
+def tune(
+    source: AnyPath | Episode,
+    *,
+    name: str = "episode",
+    engine: str | None = None,
+    **options: Unpack[TuneOptions],
+) -> Tuning:
+    """Tune from one log, as `tunenet-tune` does; nothing is written.
+
+    Args:
+        source: a log's path, its address (`s3://...`), or an episode in memory.
+        name: what an episode in memory is called in the result.
+        engine: "pybullet" or "mujoco"; None for the first that is installed. It is chosen for the
+            whole process while this runs.
+        **options: those of the command; see `TuneOptions`.
+
+    Returns:
+        The tuning. It holds the episode's samples; its `record` does not, and is what to keep of
+        many logs. A log that cannot be read or tuned has the verdict "rejected".
+
+    Raises:
+        UsageError: an option that makes no sense, or fits no log.
+        WeightsError: the weights are damaged, or of another network.
+    """
+    from analysis.provenance import provenance_of
+    from analysis.result_files import log_sha256
+    from analysis.tuning import tune_episode, tune_log
+    from recorders.simulators.engines import simulated_by
+
+    with simulated_by(engine):
+        if isinstance(source, Episode):
+            chosen = options_of(options)
+            tuning = tune_episode(source, chosen, Path(name))
+            sha256 = ""
+        else:
+            with _here(source) as path:
+                chosen = options_of(options, [path])
+                tuning = tune_log(path, chosen)
+                sha256 = ""
+                with suppress(OSError):  # the tuning says why
+                    sha256 = log_sha256(path)
+    for doubt in ball_doubts(options, chosen.selection.ball):
+        warnings.warn(doubt, stacklevel=2)
+    return replace(tuning, provenance=provenance_of(tuning, sha256, chosen))
+
+
+@contextmanager
+def _here(source: AnyPath) -> Generator[Path]:
+    """The log as a file of this machine: a copy, while it is needed, of one at an address."""
+    from analysis.batch.found_logs import is_remote
+
+    if not is_remote(str(source)):
+        yield Path(source)
+        return
+    from analysis.batch.remote_logs import fetched
+
+    with fetched(str(source)) as path:
+        yield path
+
+
+def tune_all(
+    logs: AnyPath | Iterable[AnyPath],
+    folder: AnyPath,
+    *,
+    resume: bool = False,
+    reviewed: Reviewed = "all",
+    overwrite: bool = False,
+    jobs: int | None = None,
+    ray: str | None = None,
+    engine: str | None = None,
+    **options: Unpack[TuneOptions],
+) -> pd.DataFrame:
+    """Tune many logs on all cores, as `tunenet-tune LOGS -o FOLDER` does.
+
+    Args:
+        logs: files, folders that are walked, patterns such as "runs/**/*.mcap", addresses.
+        folder: for the results: a JSON and a review of each log, and the ledger.
+        resume: whether logs are left out that the ledger has, unchanged, under the same options.
+        reviewed: which logs get a review: "all", "none", or those of one verdict.
+        overwrite: whether results of other logs may be replaced.
+        jobs: how many processes; None for all cores.
+        ray: a Ray cluster's HOST:PORT, "auto" or "local"; None for processes of this machine.
+        engine: see `tune`.
+        **options: of every log; see `TuneOptions`.
+
+    Returns:
+        The ledger, a row a log, with columns `log`, `verdict`, `reason`, each parameter with its
+        interval, and more; see docs/scale.md.
+
+    Raises:
+        UsageError: an option that makes no sense, or a place where no log is.
+        LogError: the results cannot be written.
+    """
+    from analysis.batch.found_logs import find_logs
+    from analysis.batch.ledger import read_ledger
+    from analysis.batch.one_log import Writing
+    from analysis.batch.run import Order, run_batch
+    from analysis.batch.summary import closing
+    from recorders.simulators.engines import simulated_by
+    from tunenet_logs.terminal import Progress
+
+    named = [logs] if isinstance(logs, str | PathLike) else list(logs)
+    places = [str(one) if "://" in str(one) else Path(one) for one in named]
+    verdicts = {"all": Writing().reviewed, "none": frozenset[str]()}
+    writing = Writing(overwrite, verdicts.get(reviewed, frozenset([reviewed])))
+    found = find_logs(places)
+    chosen = options_of(options, [one.log for one in found.logs if isinstance(one.log, Path)])
+    order = Order(found.logs, chosen, writing, Path(folder), keeps_ledger=True, resumes=resume)
+    stream = None
+    if ray is not None:
+        from analysis.batch.ray_cluster import on_ray
+        from analysis.cluster import Cluster
+
+        stream = partial(on_ray, Cluster(ray, jobs))
+    with simulated_by(engine):
+        batch = run_batch(
+            order, Progress(quiet=True), stream, jobs, after=partial(closing, order, None)
+        )
+    assert batch.ledger is not None
+    return read_ledger(batch.ledger)

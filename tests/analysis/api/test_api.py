@@ -1,0 +1,253 @@
+"""The Python API: it says what the commands say, and nothing else."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import analysis.api as tunenet
+from analysis.cli.tune_words import build_parser
+from recorders.simulators.engines import ENGINES
+from tests.conftest import ROOT, Command
+
+SAMPLES = ROOT / "sample_logs"
+
+_OF_THE_TERMINAL = {"help", "version", "debug", "quiet", "preview", "print_completion"}
+"""Options without a meaning for a function."""
+
+_OF_MANY = {"logs", "output", "jobs", "overwrite", "resume", "ray", "no_review", "review_only"}
+"""Those that `tune_all` has by other names, or as they are; `csv` is the table that it returns."""
+
+_RENAMED = {
+    "start": "start_s",
+    "end": "end_s",
+    "height": "height_m",
+    "ball_diameter": "ball_diameter_m",
+    "ball_mass": "ball_mass_kg",
+    "tare": "tares",
+}
+
+
+def test_every_option_of_the_command_has_its_name():
+    actions = {action.dest for action in build_parser()._actions}
+    mine = set(tunenet.TuneOptions.__annotations__) | {"engine", "save_arm_card", "csv"}
+    left = {_RENAMED.get(name, name) for name in actions - _OF_THE_TERMINAL - _OF_MANY}
+    assert left == mine
+
+
+def test_a_film_a_payload_and_impact_times_as_the_command_tunes_them(
+    command: Command, tmp_path: Path
+):
+    times = tmp_path / "times.csv"
+    times.write_text("t\n" + "\n".join(map(str, np.cumsum([0.0, 0.6, 0.45, 0.34, 0.25]))) + "\n")
+    logs = [SAMPLES / "filmed.mcap", times]
+    command("tunenet-tune", *map(str, logs), "-o", "out", cwd=tmp_path)
+    options: list[tunenet.TuneOptions] = [{}, {}]
+    held, empty = SAMPLES / "payload.mcap", SAMPLES / "payload_empty.mcap"
+    command("tunenet-tune", str(held), "--tare", str(empty), "-o", "out", cwd=tmp_path)
+    for log, said in zip([*logs, held], [*options, {"tares": [empty]}], strict=True):
+        written = json.loads((tmp_path / "out" / f"{log.stem}.json").read_text())
+        tunenet.save_tuning(tunenet.tune(log, **said), tmp_path / "mine.json", overwrite=True)
+        mine = json.loads((tmp_path / "mine.json").read_text())
+        for one in (written, mine):
+            del one["seconds"], one["provenance"]["date"]
+        assert mine == written
+
+
+LOOP = """
+import json, resource, sys
+import analysis.api as tunenet
+
+logs, out = sys.argv[1].split(","), sys.argv[2]
+found, sizes = {}, []
+for log in logs:
+    record = tunenet.tune(log).record
+    found[log] = [record.verdict, *record.estimates[0].interval95, record.estimates[0].value]
+    sizes.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+json.dump([found, sizes], open(out, "w"))
+"""
+
+
+def test_a_loop_over_logs_says_what_the_command_says_is_silent_and_keeps_nothing(
+    command: Command, tmp_path: Path
+):
+    logs = []
+    for seed in range(30):
+        order = tunenet.DropOrder(seed=seed, noise_m=0.001)
+        logs.append(tunenet.save_episode(tunenet.simulate(order), tmp_path / f"{seed}.mcap"))
+    words = [sys.executable, "-c", LOOP, ",".join(map(str, logs)), "found.json"]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    found, sizes_kib = json.loads((tmp_path / "found.json").read_text())
+    command("tunenet-tune", *map(str, logs), "-o", "out", "--no-review", cwd=tmp_path)
+    for log in logs:
+        written = json.loads((tmp_path / "out" / f"{log.stem}.json").read_text())
+        known = written["parameters"]["restitution"]
+        assert found[str(log)] == [written["verdict"], *known["interval95"], known["value"]]
+    assert sizes_kib[-1] - sizes_kib[9] < 4000  # a log's samples would be as much
+
+
+def test_values_as_a_table():
+    record = tunenet.tune(SAMPLES / "light.mcap").record
+    table = record.to_frame()
+    assert list(table.index) == ["restitution", "restitution_slope", "drag"]
+    assert table.loc["restitution", "value"] == record.estimates[0].value
+    assert (table.low95 < table.value).all()
+    assert (table.value < table.high95).all()
+    assert list(table.unit) == ["1", "1", "1/m"]
+    curves = record.motion.curves
+    assert curves is not None
+    assert list(curves.to_frame().columns) == ["observed_m", "simulated_m"]
+
+
+def test_components_have_a_row_each_and_a_rejected_log_none():
+    held = tunenet.tune(SAMPLES / "payload.mcap", tares=[SAMPLES / "payload_empty.mcap"])
+    names = ["payload_mass", *(f"payload_com[{at}]" for at in range(3))]
+    assert list(held.to_frame().index) == names
+    missing = tunenet.tune("nowhere.mcap")
+    assert (missing.verdict, missing.reason) == ("rejected", "no such file")
+    assert missing.to_frame().empty
+
+
+@pytest.mark.parametrize("unit", ["m", ""])
+def test_arrays_of_ones_own_are_tuned_as_the_log_that_holds_them(unit: str):
+    log = SAMPLES / "light.mcap"
+    positions = tunenet.read_episode(log).signals["/ball/pose"]
+    feet = 1.0 if unit else 3.281
+    episode = tunenet.episode_of_positions(
+        positions.seconds,
+        positions.values[:, 2] * feet,
+        unit=unit,  # type: ignore[arg-type]
+    )
+    (mine, theirs) = (tunenet.tune(one).to_frame() for one in (episode, log))
+    np.testing.assert_allclose(mine.value, theirs.value, rtol=1e-3)
+
+
+def test_joints_of_ones_own_are_tuned_as_the_log_that_holds_them():
+    log, empty = SAMPLES / "payload.mcap", [SAMPLES / "payload_empty.mcap"]
+    signals = tunenet.read_episode(log).signals
+    position, velocity, effort = (
+        signals[f"/joint_states.{part}"] for part in ("position", "velocity", "effort")
+    )
+    episode = tunenet.episode_of_joints(
+        position.seconds, position.columns, position.values, effort.values, velocity.values
+    )
+    (mine, theirs) = (tunenet.tune(one, tares=empty).to_frame() for one in (episode, log))
+    np.testing.assert_allclose(mine.value, theirs.value, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "heights", "says"),
+    [
+        ([0, 1], [1, 2, 3], "expected"),
+        ([0, 0, 1], [1, 2, 3], "do not increase"),
+        ([0, 1, 2], [1, np.nan, 3], "missing or not finite"),
+        ([0, 1, 2e18], [1, 2, 3], "in seconds"),
+    ],
+)
+def test_arrays_that_make_no_sense_are_refused(seconds: list, heights: list, says: str):
+    with pytest.raises(tunenet.UsageError, match=says):
+        tunenet.episode_of_positions(seconds, heights)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"iterations": 0}, "whole number from 1"),
+        ({"iterations": 2.5}, "whole number from 1"),
+        ({"method": "magic"}, "choose one of: tunenet"),
+        ({"preset": "ours"}, "choose one of: default"),
+        ({"task": "throw"}, "choose one of: drop, payload"),
+        ({"start_s": 3, "end_s": 2}, "not before"),
+        ({"height_m": "1.2"}, "is not a number from 0.001 to 100 m"),
+        ({"ball": "cricket"}, "there is: table-tennis"),
+        ({"hsv": ((0, 0, 0), (9, 9, 9)), "ball_at": (1, 2, 3)}, "leave one out"),
+        ({"effort_unit": "A"}, "add --torque-constants"),
+        ({"effort_unit": "lb"}, "neither N·m"),
+        ({"tares": ["a.mcap", "a.mcap"]}, "named twice"),
+        ({"urdf": "arm.urdf"}, "add --tool-link"),
+        ({"columns": "nothing"}, "says no column"),
+        ({"length_unit": "furlong"}, "is not known"),
+        ({"torque_constants": [0.0]}, "are no numbers"),
+        ({"bal": "golf"}, "no option 'bal'"),
+    ],
+)
+def test_an_option_that_makes_no_sense_raises(options: dict, says: str):
+    with pytest.raises(tunenet.UsageError, match=says):
+        tunenet.tune(SAMPLES / "dull.mcap", **options)
+
+
+def test_a_doubtful_ball_warns():
+    with pytest.warns(UserWarning, match="denser than any metal"):
+        tunenet.tune(SAMPLES / "dull.mcap", ball_diameter_m=0.04, ball_mass_kg=2.7)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_the_engine_is_chosen_for_the_call_alone(engine: str):
+    pytest.importorskip(engine)
+    tuning = tunenet.tune(SAMPLES / "dull.mcap", engine=engine)
+    assert tuning.record.simulator is not None
+    assert tuning.record.simulator["engine"].startswith(engine)
+    with pytest.raises(tunenet.UsageError, match="no engine is named"):
+        tunenet.tune(SAMPLES / "dull.mcap", engine="havok")
+
+
+def test_results_are_kept_and_never_replace_anothers(tmp_path: Path):
+    one, other = (tunenet.tune(SAMPLES / f"{name}.mcap") for name in ("dull", "bouncy"))
+    kept = tunenet.save_tuning(one, tmp_path / "a.json")
+    assert tunenet.read_tuning(kept).estimates == one.record.estimates
+    tunenet.save_tuning(one, kept)
+    with pytest.raises(tunenet.LogError, match=r"is the tuning of dull.mcap, not of bouncy.mcap"):
+        tunenet.save_tuning(other, kept)
+    seen = tunenet.review(one, tmp_path / "a.rrd")
+    tunenet.review(one, seen)
+    with pytest.raises(tunenet.LogError, match="is no review of bouncy"):
+        tunenet.review(other, seen)
+    in_memory = tunenet.tune(tunenet.simulate(tunenet.DropOrder(seed=1)))
+    with pytest.raises(tunenet.LogError, match="is no review of episode"):
+        tunenet.review(in_memory, seen)
+    tunenet.save_tuning(in_memory, tmp_path / "b.json")
+    with pytest.raises(tunenet.LogError, match="is the tuning of"):
+        tunenet.save_tuning(one, tmp_path / "b.json")
+    with pytest.raises(tunenet.UsageError, match=r"name it a\.rrd"):
+        tunenet.review(one, tmp_path / "a.json")
+    with pytest.raises(tunenet.LogError, match="could not be read"):
+        tunenet.review(tunenet.tune("nowhere.mcap"), tmp_path / "c.rrd")
+
+
+def test_many_logs_are_a_table(tmp_path: Path):
+    logs = [SAMPLES / "dull.mcap", SAMPLES / "bouncy.mcap"]
+    table = tunenet.tune_all(logs, tmp_path, jobs=1, reviewed="none", method="fit")
+    assert sorted(Path(log).name for log in table.log) == ["bouncy.mcap", "dull.mcap"]
+    assert (table.verdict == "ok").all()
+    assert not list(tmp_path.glob("dull.rrd"))
+    again = tunenet.tune_all(logs, tmp_path, jobs=1, reviewed="none", method="fit", resume=True)
+    assert list(again.tuned) == list(table.tuned)  # none was done again
+
+
+def test_a_tuned_ball_goes_into_an_engine(tmp_path: Path):
+    tuning = tunenet.tune(SAMPLES / "dull.mcap")
+    (file,) = tunenet.export(tuning, "mujoco", tmp_path / "ball.xml", speed_m_s=2.0)
+    assert "<mujoco" in file.read_text()
+    with pytest.raises(tunenet.LogError, match="overwrite=True"):
+        tunenet.export(tuning, "mujoco", file)
+    with pytest.raises(tunenet.UsageError, match="choose one of: pybullet"):
+        tunenet.export(tuning, "havok", tmp_path / "ball.xml")
+
+
+def test_a_campaign_is_reviewed(tmp_path: Path):
+    campaign = tunenet.review_campaign(SAMPLES / "campaign", tmp_path / "c.rrd", jobs=1)
+    assert campaign.attempts
+    assert (tmp_path / "c.rrd").stat().st_size > 10_000
+
+
+def test_a_film_is_of_a_drop_alone():
+    with pytest.raises(tunenet.UsageError, match="only a drop can be filmed"):
+        tunenet.simulate(tunenet.PayloadOrder(), film=tunenet.FilmOrder())
+    shot = tunenet.simulate(tunenet.ShotOrder(seed=2))
+    assert shot.info.kind == "bounce-shot"
