@@ -86,6 +86,8 @@ def draw(section: Section, folder: Path) -> None:
     (folder / "sample_logs").symlink_to(ROOT / "sample_logs")
     environment = {**os.environ, "PATH": f"{BIN}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
     subprocess.run(["bash", "-c", section.commands], cwd=folder, env=environment, check=False)
+    if not (folder / section.review).is_file():
+        raise FileNotFoundError(f"{section.review}: its commands have not made it")
     section.picture.parent.mkdir(exist_ok=True)
     section.picture.write_bytes(reduced(screenshot(folder / section.review, section.moment)))
 

@@ -30,12 +30,12 @@ NOT_RUN: Mapping[str, str] = {
     r"python3 -m venv \w+": "Python's own",
     r"\. \S+/activate": "the shell's own",
     r"(ray|rosbag|ros2|ffmpeg|gst-launch-1\.0) .*": "other programs",
-    r"du -sm .*|mkdir \w+|\.venv/bin/python -c .*": "the system's own",
+    r"du -sm .*|printf .*|mkdir \w+|\.venv/bin/python -c .*": "the system's own",
 }
 """By what the whole command looks like."""
 
 SLOW: Mapping[str, str] = {
-    r"tunenet-tune .*\.mp4.*": "tunes a film",
+    r"tunenet-tune .*(\.mp4|filmed|sample_logs/\*).*": "tunes a film",
     r"tunenet-tune .*--ray .*": "starts Ray",
     r"tunenet-record .*--render.*": "draws a film",
     r"tunenet-review .*campaign.*": "reviews a film",

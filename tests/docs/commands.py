@@ -38,6 +38,7 @@ class Shown:
         words: as a shell would split them, the comment aside.
         text: the same in one line, without the comment.
         inline: whether it stands between words, not in a block.
+        exit_code: with which it ends, as its comment says it: `# exits with 1`.
     """
 
     document: Path
@@ -45,6 +46,7 @@ class Shown:
     words: tuple[str, ...]
     text: str
     inline: bool
+    exit_code: int = 0
 
     @property
     def place(self) -> str:
@@ -110,11 +112,16 @@ def options(text: str) -> set[str]:
 def _block(document: Path, text: str, start: int, script: str, *, inline: bool) -> Block:
     first = text.count("\n", 0, start) + 1
     commands = [
-        Shown(document, first + at, words, part, inline)
+        Shown(document, first + at, words, part, inline, _exit_code(line))
         for at, line in _logical_lines(script)
         for words, part in _commands(line)
     ]
     return Block(tuple(commands))
+
+
+def _exit_code(line: str) -> int:
+    said = re.search(r"# exits with (\d+)", line)
+    return int(said[1]) if said else 0
 
 
 def _logical_lines(script: str) -> Iterator[tuple[int, str]]:

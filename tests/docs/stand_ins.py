@@ -172,6 +172,7 @@ STAND_INS: Mapping[str, Callable[[Path], object]] = {
     "third.mcap": _payload(12, "--mass", "0.7"),
     "lab.mcap": _vicon,
     "filmed.mcap": _sample("filmed.mcap"),
+    "light.mcap": _sample("light.mcap"),
     "*.mcap": _drop,
     "*.mcap.active": _killed,
     "*.json": _tuning,

@@ -188,12 +188,18 @@ def _follow(block: Block, folder: Path, run: Run, *, slow: bool) -> None:
         if is_run(command, slow=slow):
             stand_in(command.words, folder)
             result = run(command.words, folder)
-            assert result.returncode == 0, f"{command.place}: {command.text}\n{result.stderr}"
+            said = f"{command.place}: {command.text}\n{result.stdout}{result.stderr}"
+            assert result.returncode == command.exit_code, said
         elif reason(VIEWER, command.text) and not command.is_a_pattern:
             there = (folder / command.words[1]).is_file()
             assert there or skipped or command.inline, f"{command.place}: {command.text}: no file"
         elif command.words[0] == "mkdir":
             (folder / command.words[1]).mkdir()
+        elif command.words[0] == "printf":
+            *words, arrow, name = command.words
+            assert arrow == ">"
+            with (folder / name).open("w") as file:
+                subprocess.run(words, stdout=file, check=True)
         else:
             skipped |= bool(reason(SLOW, command.text))
 
