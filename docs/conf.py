@@ -17,6 +17,7 @@ project = "tunenet-logs"
 extensions = ["myst_parser"]
 root_doc = "docs/index"
 include_patterns = ["*.md", "docs/*.md", "sample_logs/README.md"]
+include_patterns += ["recorders/simulators/arm/known/*.md"]
 exclude_patterns = [".*", "**/__pycache__", "build", "dist", "demo", "env", "*.egg-info"]
 """Folders that are not even looked into."""
 
@@ -27,7 +28,7 @@ html_show_copyright = False
 html_copy_source = False
 
 myst_heading_anchors = 4
-myst_enable_extensions = ["smartquotes"]
+smartquotes = False
 nitpicky = True
 suppress_warnings = ["misc.highlighting_failure"]
 """JSON in the documents leaves out what repeats, with three dots: no lexer takes that."""

@@ -1,4 +1,4 @@
-"""Draws the pictures of docs/gallery.md again: `make pictures`, or `python docs/make_pictures.py NAME`.
+"""Draws the pictures of docs/gallery.md again: `python docs/make_pictures.py [NAME...]`.
 
 Each section of the gallery has its commands and its picture. The commands are run as they stand
 there, in a folder of their own; what the last of them, `rerun`, would open is drawn by a viewer

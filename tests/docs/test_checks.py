@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from analysis.api import tune
+from analysis.api import TuneOptions, tune
 from tests.docs.stand_ins import SAMPLES, make
 from tests.wheel import ROOT
 
@@ -101,7 +101,7 @@ DROP = "A drop from positions or a film"
     ],
 )
 def test_what_a_tuning_checks_stands_in_its_section(
-    name: str, sections: tuple[str, ...], options: dict[str, object], tmp_path: Path
+    name: str, sections: tuple[str, ...], options: TuneOptions, tmp_path: Path
 ):
     make(tmp_path / name)
     tuning = tune(tmp_path / name, **options)

@@ -1,4 +1,4 @@
-"""The site is made of the documents without a warning, and one is given for a link that leads nowhere."""
+"""The site is made of the documents without a warning; a link that leads nowhere has one."""
 
 from __future__ import annotations
 
