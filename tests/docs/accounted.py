@@ -39,6 +39,7 @@ NOT_RUN: Mapping[str, str] = {
 SLOW: Mapping[str, str] = {
     r"tunenet-tune .*(\.mp4|filmed|sample_logs/\*).*": "tunes a film",
     r"tunenet-tune .*--ray .*": "starts Ray",
+    r"tunenet-tune runs/ .*": "starts processes",
     r"tunenet-record .*--render.*": "draws a film",
     r"tunenet-review .*campaign.*": "reviews a film",
 }
