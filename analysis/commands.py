@@ -31,3 +31,13 @@ def evaluate() -> int:
 def export() -> int:
     """`tunenet-export`."""
     return start("tunenet-export", "analysis.cli.export")
+
+
+def compare() -> int:
+    """`tunenet-compare`."""
+    return start("tunenet-compare", "analysis.cli.compare")
+
+
+def report() -> int:
+    """`tunenet-report`."""
+    return start("tunenet-report", "analysis.cli.report")

@@ -69,6 +69,8 @@ _MODULES = {
     "tunenet-plan": "analysis.cli.plan",
     "tunenet-eval": "analysis.evaluation.cli",
     "tunenet-export": "analysis.cli.export",
+    "tunenet-compare": "analysis.cli.compare",
+    "tunenet-report": "analysis.cli.report",
 }
 
 

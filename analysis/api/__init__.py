@@ -22,6 +22,7 @@ from analysis.api.episodes import (
     simulate,
 )
 from analysis.api.results import (
+    compare,
     export,
     read_tuning,
     review,
@@ -31,6 +32,7 @@ from analysis.api.results import (
 )
 from analysis.api.tuning import Reviewed, tune, tune_all
 from analysis.checks import Check, CrossCheck
+from analysis.comparison import Comparison
 from analysis.motion import Curves, Equivalent, Equivalents, Motion, SimulationFit, Units
 from analysis.record import Estimate, Provenance, Rebound, Record, Tuning
 from analysis.tune_options import TuneOptions
@@ -47,6 +49,7 @@ __all__ = [
     "BALLS",
     "Ball",
     "Check",
+    "Comparison",
     "CrossCheck",
     "Curves",
     "DropOrder",
@@ -75,6 +78,7 @@ __all__ = [
     "Units",
     "UsageError",
     "WeightsError",
+    "compare",
     "episode_of_joints",
     "episode_of_positions",
     "export",

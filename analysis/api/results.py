@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +14,7 @@ from tunenet_logs.errors import LogError, UsageError
 
 if TYPE_CHECKING:
     from analysis.campaign.build import Campaign
+    from analysis.comparison import Comparison
 
 
 def read_tuning(path: AnyPath) -> Record:
@@ -102,8 +103,42 @@ def review_campaign(
     return campaign
 
 
+def compare(
+    tunings: Iterable[Tuning | Record | AnyPath], names: Sequence[str] | None = None
+) -> Comparison:
+    """What was tuned from several logs side by side, and which values differ significantly.
+
+    Args:
+        tunings: or their records, or the JSONs that hold these.
+        names: of the logs, one each; their own if None.
+
+    Returns:
+        The comparison; `to_frame` makes a table of it.
+
+    Raises:
+        UsageError: there are too many, or not one name each.
+        LogError: a JSON cannot be read, or is no tuning.
+    """
+    from analysis.comparison import compare as compared
+
+    records = [
+        one
+        if isinstance(one, Record)
+        else one.record
+        if isinstance(one, Tuning)
+        else read_tuning(one)
+        for one in tunings
+    ]
+    return compared(records, names)
+
+
 def save_arm_card(tuning: Tuning, path: AnyPath, *, overwrite: bool = False) -> Path:
     """Write what a tuned payload's log says of the arm, for `tune(..., arm_card=PATH)`.
+
+    Args:
+        tuning: of a payload.
+        path: of the card, a JSON.
+        overwrite: whether the card of other runs may be replaced.
 
     Raises:
         LogError: it says nothing, something else is there, or it cannot be written.

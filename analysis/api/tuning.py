@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     import pandas as pd  # pyright: ignore[reportMissingTypeStubs] (it ships its own types)
 
 Reviewed = Literal["all", "none", "ok", "suspect", "rejected"]
+"""Which logs get a review: all, none, or those of one verdict."""
 
 
 def tune(

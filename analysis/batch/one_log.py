@@ -13,10 +13,10 @@ from analysis.batch.result_names import result_files
 from analysis.provenance import provenance_of
 from analysis.record import Record, Tuning
 from analysis.record_json import to_json
-from analysis.report import Row, row_of
 from analysis.result_files import check_own, log_sha256, replacing
 from analysis.review.tuning_review import write_review
 from analysis.selection import Options
+from analysis.terminal_table import Row, row_of
 from analysis.tuning import tune_log
 from tunenet_logs.commandline import print_traceback
 from tunenet_logs.errors import LogError, UsageError, WeightsError

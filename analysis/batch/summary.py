@@ -11,8 +11,8 @@ from analysis.batch.one_log import Result
 from analysis.batch.result_names import OF_BATCH, result_files
 from analysis.batch.run import MOST_SHOWN, BatchResult, Order
 from analysis.batch.text_table import write_csv
-from analysis.report import table
 from analysis.result_files import replacing, writable
+from analysis.terminal_table import table
 from tunenet_logs.terminal import one_line, short_name
 
 _ELSEWHERE = "free some space and run it again with --resume: the logs are done"

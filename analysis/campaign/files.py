@@ -65,7 +65,7 @@ def material_of(places: Sequence[Path], warn: Warn) -> Material:
     drops: list[TunedDrop] = []
     logs: list[Path] = []
     outcome_files: list[Path] = []
-    for file in _files(places, warn):
+    for file in files_of(places, warn):
         suffixes = _NAMED_LOGS if real_path(file) in named else _LOGS
         try:
             if file.suffix.lower() == ".json":
@@ -116,7 +116,7 @@ def natural(name: str) -> tuple[tuple[int, int, str], ...]:
     return tuple(parts)
 
 
-def _files(places: Iterable[Path], warn: Warn) -> Iterator[Path]:
+def files_of(places: Iterable[Path], warn: Warn) -> Iterator[Path]:
     """Every file once."""
     seen: set[Path] = set()
     for place in places:

@@ -11,7 +11,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from analysis.report import interval_words, quantity
+from analysis.terminal_table import interval_words, quantity
 from tunenet_logs.arrays import Array
 
 Color = tuple[int, int, int]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from analysis.record import Rebound, Record
-from analysis.report import (
+from analysis.terminal_table import (
     equivalent_words,
     extra_words,
     interval_mark,

@@ -14,7 +14,6 @@ from analysis.drop.review.bounces import bounce_view, log_bounces
 from analysis.drop.review.film import log_film
 from analysis.drop.review.review_data import ReviewData, review_data
 from analysis.record import Tuning
-from analysis.report import markdown_table
 from analysis.review.drawing import (
     GROUND,
     ITERATION,
@@ -32,6 +31,7 @@ from analysis.review.drawing import (
     send_scalars,
     ticks,
 )
+from analysis.terminal_table import markdown_table
 
 _MANY = 200
 """Samples above which dots would hide the lines."""

@@ -15,7 +15,7 @@ from analysis.campaign.rates import (
     overall_rates,
     restitutions_by_ball,
 )
-from analysis.report import markdown_table
+from analysis.terminal_table import markdown_table
 from tunenet_logs.terminal import one_line
 
 

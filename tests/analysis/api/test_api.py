@@ -47,12 +47,12 @@ def test_a_film_a_payload_and_impact_times_as_the_command_tunes_them(
     times.write_text("t\n" + "\n".join(map(str, np.cumsum([0.0, 0.6, 0.45, 0.34, 0.25]))) + "\n")
     logs = [SAMPLES / "filmed.mcap", times]
     command("tunenet-tune", *map(str, logs), "-o", "out", cwd=tmp_path)
-    options: list[tunenet.TuneOptions] = [{}, {}]
     held, empty = SAMPLES / "payload.mcap", SAMPLES / "payload_empty.mcap"
     command("tunenet-tune", str(held), "--tare", str(empty), "-o", "out", cwd=tmp_path)
-    for log, said in zip([*logs, held], [*options, {"tares": [empty]}], strict=True):
+    tares: list[list[Path]] = [[], [], [empty]]
+    for log, runs in zip([*logs, held], tares, strict=True):
         written = json.loads((tmp_path / "out" / f"{log.stem}.json").read_text())
-        tunenet.save_tuning(tunenet.tune(log, **said), tmp_path / "mine.json", overwrite=True)
+        tunenet.save_tuning(tunenet.tune(log, tares=runs), tmp_path / "mine.json", overwrite=True)
         mine = json.loads((tmp_path / "mine.json").read_text())
         for one in (written, mine):
             del one["seconds"], one["provenance"]["date"]
@@ -177,7 +177,7 @@ def test_arrays_that_make_no_sense_are_refused(seconds: list, heights: list, say
         ({"bal": "golf"}, "no option 'bal'"),
     ],
 )
-def test_an_option_that_makes_no_sense_raises(options: dict, says: str):
+def test_an_option_that_makes_no_sense_raises(options: tunenet.TuneOptions, says: str):
     with pytest.raises(tunenet.UsageError, match=says):
         tunenet.tune(SAMPLES / "dull.mcap", **options)
 

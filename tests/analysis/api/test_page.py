@@ -29,7 +29,7 @@ def test_every_public_name_is_documented(name: str):
     known = getattr(tunenet, name)
     if not isinstance(known, FunctionType):
         return
-    documented = set(re.findall(r"^- `\**(\w+)`: \w", text, re.MULTILINE))
+    documented = set(re.findall(r"^- `\**(\w+)`: \S", text, re.MULTILINE))
     given = inspect.signature(known).parameters
     if len(given) > 2:
         assert set(given) <= documented

@@ -23,8 +23,8 @@ from analysis.evaluation.drop.times_verdicts import NO_BALLS, verdicts
 from analysis.experiment import Claim
 from analysis.record import Tuning, record_of
 from analysis.record_json import record_from, to_json
-from analysis.report import row_of, table
 from analysis.selection import Options, Selection
+from analysis.terminal_table import row_of, table
 from analysis.tuning import tune_episode
 from recorders.simulators.balls import ball_named
 from recorders.simulators.closed_form.bounce import Bounce

@@ -9,9 +9,9 @@ import pytest
 
 from analysis.motion import Equivalent, Equivalents, Motion
 from analysis.record import Tuning, record_of
-from analysis.report import Row, interval_words, row_of, table
 from analysis.review.words import result_words
 from analysis.selection import Options
+from analysis.terminal_table import Row, interval_words, row_of, table
 from analysis.tuning import tune_log
 
 

@@ -1,0 +1,249 @@
+"""Tunings beside each other: what can be compared, and which parameters differ."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from analysis.checks import Verdict
+from analysis.pair_test import PairTest, holm, pair_tests
+from analysis.record import Record
+from analysis.speed_transport import ComparedValue, restitution_value
+from tunenet_logs.errors import UsageError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+MOST_LOGS = 200
+"""Compared at once: with n logs there are n²/2 pairs, and nobody reads more."""
+
+_AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class ComparedQuantity:
+    """One parameter, or one component of it, of the logs that have it.
+
+    Attributes:
+        name: the parameter's, with the component for one of several numbers: "payload_com x".
+        unit: "1" where it has none.
+        values: one a log that has it, in the logs' order.
+        tests: of each pair of values with intervals.
+    """
+
+    name: str
+    unit: str
+    values: tuple[ComparedValue, ...]
+    tests: tuple[PairTest, ...]
+
+
+@dataclass(frozen=True)
+class ComparedGroup:
+    """Logs that can be compared: one task, one preset, and one engine if the values are its own.
+
+    Attributes:
+        title: what they have in common.
+        labels: of its logs.
+        quantities: in the order in which the logs have them.
+    """
+
+    title: str
+    labels: tuple[str, ...]
+    quantities: tuple[ComparedQuantity, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """All logs.
+
+    Attributes:
+        labels: one a record, each different.
+        records: in the order that was given.
+        groups: of logs with values.
+    """
+
+    labels: tuple[str, ...]
+    records: tuple[Record, ...]
+    groups: tuple[ComparedGroup, ...]
+
+    @property
+    def without_values(self) -> tuple[tuple[str, Record], ...]:
+        """Rejected logs and others that have nothing to compare, with their labels."""
+        pairs = zip(self.labels, self.records, strict=True)
+        return tuple((label, record) for label, record in pairs if not record.estimates)
+
+    def to_frame(self) -> pd.DataFrame:
+        """A row for each quantity of each log, and one for each log without any.
+
+        Columns: log, task, preset, verdict, reason, parameter, unit, value, low, high,
+        impact_speed_m_s, differs_from (labels, with "; " between them).
+        """
+        import pandas as pd
+
+        rows = [row for group in self.groups for row in _rows(self, group)]
+        rows += [
+            {**_of_record(label, record), "reason": record.reason}
+            for label, record in self.without_values
+        ]
+        return pd.DataFrame(rows, columns=list(_COLUMNS))
+
+    def pairs_frame(self) -> pd.DataFrame:
+        """A row for each test.
+
+        Columns: group, parameter, unit, first, second, difference, low, high, p, p_holm, differs,
+        speed_m_s, caution.
+        """
+        import pandas as pd
+
+        rows = [
+            {
+                "group": group.title,
+                "parameter": quantity.name,
+                "unit": quantity.unit,
+                "first": test.first,
+                "second": test.second,
+                "difference": test.difference,
+                "low": test.interval95[0],
+                "high": test.interval95[1],
+                "p": test.probability,
+                "p_holm": test.corrected,
+                "differs": test.differs,
+                "speed_m_s": test.speed_m_s,
+                "caution": test.caution,
+            }
+            for group in self.groups
+            for quantity in group.quantities
+            for test in quantity.tests
+        ]
+        return pd.DataFrame(rows, columns=list(_PAIR_COLUMNS))
+
+
+_COLUMNS = ("log", "task", "preset", "verdict", "reason", "parameter", "unit", "value", "low")
+_COLUMNS += ("high", "impact_speed_m_s", "differs_from")
+_PAIR_COLUMNS = ("group", "parameter", "unit", "first", "second", "difference", "low", "high", "p")
+_PAIR_COLUMNS += ("p_holm", "differs", "speed_m_s", "caution")
+
+
+def compare(records: Sequence[Record], names: Sequence[str] | None = None) -> Comparison:
+    """Compare what was tuned from several logs.
+
+    Args:
+        records: one a log.
+        names: of the logs, one a record; their own if None. Equal ones are numbered.
+
+    Raises:
+        UsageError: there are more than `MOST_LOGS`, or not one name a record.
+    """
+    labels = distinct([record.log for record in records] if names is None else names)
+    if len(labels) != len(records):
+        raise UsageError(f"{len(records)} tunings and {len(labels)} names: give one each")
+    if len(records) > MOST_LOGS:
+        raise UsageError(f"{len(records)} tunings: compare at most {MOST_LOGS} at once")
+    members: dict[tuple[str, ...], list[int]] = {}
+    for index, record in enumerate(records):
+        if record.estimates:
+            members.setdefault(_kind(record), []).append(index)
+    groups = tuple(
+        _group(kind, [labels[index] for index in found], [records[index] for index in found])
+        for kind, found in members.items()
+    )
+    return Comparison(tuple(labels), tuple(records), groups)
+
+
+def distinct(names: Sequence[str]) -> list[str]:
+    """The names, those that are there several times with a number behind them."""
+    taken, counts = set(names), Counter(names)
+    labels: list[str] = []
+    for name in names:
+        label, number = name, 0
+        while counts[name] > 1 and (label in taken or not number):
+            number += 1
+            label = f"{name} ({number})"
+        taken.add(label)
+        labels.append(label)
+    return labels
+
+
+def _kind(record: Record) -> tuple[str, ...]:
+    """What two records share whose values mean the same."""
+    simulator = record.simulator or {}
+    preset = str(simulator.get("preset", "no preset"))
+    if record.physical:
+        return record.task or "unknown task", preset
+    return record.task or "unknown task", preset, f"numbers of {simulator.get('engine', 'unknown')}"
+
+
+def _group(kind: Sequence[str], labels: list[str], records: list[Record]) -> ComparedGroup:
+    values: dict[tuple[str, str], list[ComparedValue]] = {}
+    for label, record in zip(labels, records, strict=True):
+        for (name, unit), value in _values(label, record):
+            values.setdefault((name, unit), []).append(value)
+    tests = {key: pair_tests(found) for key, found in values.items()}
+    families: dict[tuple[str, str], list[tuple[str, str]]] = {}
+    for name, unit in values:
+        families.setdefault((name.partition(" ")[0], unit), []).append((name, unit))
+    for keys in families.values():  # the components of one parameter are one family
+        corrected = iter(holm([test for key in keys for test in tests[key]]))
+        for key in keys:
+            tests[key] = [next(corrected) for _ in tests[key]]
+    quantities = tuple(
+        ComparedQuantity(name, unit, tuple(found), tuple(tests[name, unit]))
+        for (name, unit), found in values.items()
+    )
+    return ComparedGroup(", ".join(kind), tuple(labels), quantities)
+
+
+def _values(label: str, record: Record) -> list[tuple[tuple[str, str], ComparedValue]]:
+    """What a log says, number by number, by name and unit."""
+    sha256 = record.provenance.log_sha256 if record.provenance else ""
+    found: list[tuple[tuple[str, str], ComparedValue]] = []
+    for known in record.estimates:
+        if not isinstance(known.value, tuple):
+            ends: Any = known.interval95
+            value = ComparedValue(label, known.value, ends, record.verdict, sha256)
+            if known.name == "restitution" and record.physical:
+                value = restitution_value(value, record)
+            found.append(((known.name, known.unit), value))
+            continue
+        intervals: Any = known.interval95 or [None] * len(known.value)
+        for index, (part, ends) in enumerate(zip(known.value, intervals, strict=False)):
+            axis = _AXES[index] if len(known.value) == len(_AXES) else str(index + 1)
+            value = ComparedValue(label, part, ends, record.verdict, sha256)
+            found.append(((f"{known.name} {axis}", known.unit), value))
+    return found
+
+
+def _rows(comparison: Comparison, group: ComparedGroup) -> list[dict[str, Any]]:
+    record_of = dict(zip(comparison.labels, comparison.records, strict=True))
+    return [
+        {
+            **_of_record(value.label, record_of[value.label]),
+            "parameter": quantity.name,
+            "unit": quantity.unit,
+            "value": value.value,
+            "low": value.interval95[0] if value.interval95 else None,
+            "high": value.interval95[1] if value.interval95 else None,
+            "impact_speed_m_s": value.speed_m_s,
+            "differs_from": "; ".join(told_apart(quantity, value.label)),
+        }
+        for quantity in group.quantities
+        for value in quantity.values
+    ]
+
+
+def _of_record(label: str, record: Record) -> dict[str, Any]:
+    verdict: Verdict = record.verdict
+    preset = (record.simulator or {}).get("preset")
+    return {"log": label, "task": record.task, "preset": preset, "verdict": verdict}
+
+
+def told_apart(quantity: ComparedQuantity, label: str) -> list[str]:
+    """The labels of the logs whose value differs from that of this one."""
+    different = [test for test in quantity.tests if test.differs]
+    return [
+        test.second if test.first == label else test.first
+        for test in different
+        if label in (test.first, test.second)
+    ]

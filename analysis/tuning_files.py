@@ -1,0 +1,82 @@
+"""The tunings that a user names: JSONs of `tunenet-tune`, and folders with them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from analysis.campaign.files import files_of, natural
+from analysis.comparison import distinct
+from analysis.record import Record
+from analysis.record_json import read_record
+from tunenet_logs.errors import LogError, UsageError
+from tunenet_logs.outcome_reading import Warn
+from tunenet_logs.regular_file import real_path
+
+_DEEPEST = 4
+"""Folders in front of a name, at most, that tell it from an equal one."""
+
+
+@dataclass(frozen=True, eq=False)
+class TuningFile:
+    """A JSON and what it says.
+
+    Attributes:
+        label: the log's name; with folders in front where several logs have it.
+    """
+
+    path: Path
+    record: Record
+    label: str
+
+
+def read_tunings(places: Sequence[Path], warn: Warn) -> tuple[TuningFile, ...]:
+    """Read tunings, in the order they are named; those of a folder by their names.
+
+    Args:
+        places: files, and folders, which are searched with those in them.
+        warn: called with what of a folder cannot be read.
+
+    Raises:
+        UsageError: there is no such place, or no tuning in any of them.
+        LogError: a file that is named is no tuning.
+    """
+    named = {real_path(place) for place in places if place.is_file()}
+    found: list[tuple[Path, Record]] = []
+    for path in files_of(places, warn):
+        is_named = real_path(path) in named
+        if not is_named and path.suffix.lower() != ".json":
+            continue
+        try:
+            found.append((path, read_record(path)))
+        except LogError:
+            if is_named:
+                raise
+    if not found:
+        words = ", ".join(map(str, places))
+        raise UsageError(f"{words}: holds no tuning; give the .json that tunenet-tune wrote")
+    labels = _labels(found)
+    return tuple(
+        TuningFile(path, record, label) for (path, record), label in zip(found, labels, strict=True)
+    )
+
+
+def in_order(tunings: Sequence[TuningFile]) -> tuple[TuningFile, ...]:
+    """Sorted by their labels, as people count."""
+    return tuple(sorted(tunings, key=lambda tuning: natural(tuning.label)))
+
+
+def _labels(found: Sequence[tuple[Path, Record]]) -> list[str]:
+    """Names of logs; equal ones with as many folders of their JSON as tell them apart."""
+    names = [record.log or path.stem for path, record in found]
+    counts = Counter(names)
+    labels = list(names)
+    for depth in range(_DEEPEST):
+        again = Counter(labels)
+        for index, (path, _) in enumerate(found):
+            if counts[names[index]] > 1 and again[labels[index]] > 1:
+                folders = real_path(path).parent.parts[-1 - depth :]
+                labels[index] = f"{names[index]} ({'/'.join([*folders, path.stem])})"
+    return distinct(labels)
