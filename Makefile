@@ -1,5 +1,7 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`.
 # `make test-all` adds long statistics, the evaluation's own tests and long fuzzing.
+# `make docs` builds the site, `make docs-check` runs every command of the documents,
+# `make pictures` draws the documents' pictures again.
 # `make smoke` installs the wheel for every other supported Python found here, and tunes with it.
 # PYTHON is 3.11, 3.12 or 3.13; without it, that of .venv, else python3.11, else python3.
 # PIP_ARGS reaches pip, e.g. to take PyTorch's CPU build from its own index (see README).
@@ -18,7 +20,8 @@ export OPENBLAS_NUM_THREADS ?= 1
 unexport PYTHONDONTWRITEBYTECODE
 SAMPLES := $(filter-out sample_logs/payload%,$(wildcard sample_logs/*.mcap))
 
-.PHONY: demo test test-all smoke check style types suite supported-python format bench samples clean
+.PHONY: demo test test-all smoke check style types suite docs docs-check pictures supported-python format \
+	bench samples clean
 
 demo: .venv/installed
 	@mkdir -p demo
@@ -33,10 +36,23 @@ test: .venv/developing
 	@$(MAKE) --no-print-directory -j3 style types suite
 
 suite: .venv/developing
-	$(PYTEST) -m "not slow"
+	$(PYTEST) -m "not slow and not docs"
 
 test-all: check
-	$(PYTEST) --hypothesis-profile=thorough
+	$(PYTEST) -m "not docs" --hypothesis-profile=thorough
+
+docs: .venv/developing
+	$(BIN)/sphinx-build -q -W --keep-going -c docs -d build/doctrees . build/docs
+	@echo "build/docs/index.html"
+
+# in a clean copy, so that nothing is there which is not in the repository
+docs-check: .venv/developing
+	rm -rf build/clone
+	git clone --quiet . build/clone
+	cd build/clone && PYTHONPATH=$$PWD ../../$(PYTEST) tests/docs
+
+pictures: .venv/developing
+	$(BIN)/python docs/make_pictures.py
 
 smoke: .venv/developing
 	$(BIN)/python -m tests.smoke
@@ -76,6 +92,6 @@ supported-python:
 	@touch $@
 
 .venv/developing: .venv/installed
-	$(INSTALL) -e '.[cluster,dev,eval,remote,ros2,tables,train]'
+	$(INSTALL) -e '.[cluster,dev,docs,eval,remote,ros2,tables,train]'
 	$(BIN)/pyright --version
 	@touch $@

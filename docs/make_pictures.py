@@ -1,0 +1,162 @@
+"""Draws the pictures of docs/gallery.md again: `python docs/make_pictures.py [NAME...]`.
+
+Each section of the gallery has its commands and its picture. The commands are run as they stand
+there, in a folder of their own; what the last of them, `rerun`, would open is drawn by a viewer
+without a window, at a moment that the picture's comment names as a fraction of the time shown.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from rerun.experimental import ViewerClient
+
+ROOT = Path(__file__).resolve().parents[1]
+GALLERY = ROOT / "docs" / "gallery.md"
+BIN = Path(sys.executable).parent
+_SECTION = re.compile(
+    r"```sh\n(?P<commands>(?:.*\n)*?)rerun (?P<review>\S+)\n```\n(?:.*\n)*?"
+    r"!\[[^]]*\]\((?P<picture>\S+)\)(?: <!-- at (?P<moment>[\d.]+) -->)?"
+)
+SIZE_PX = (1280, 720)
+BAR_PX = 37
+"""The viewer's own, with words about the machine that draws."""
+
+_LONGEST_S, _NOTICES_S, _EVERY_S = 90.0, 9.0, 1.5
+"""Until a viewer shows all; after which its notices are gone; between two looks."""
+
+
+@dataclass(frozen=True)
+class Section:
+    """One of the gallery.
+
+    Attributes:
+        commands: lines for a shell.
+        review: what the viewer opens, from the folder where the commands run.
+        picture: where it is kept.
+        moment: shown, as a fraction of the active timeline; None: where the review begins.
+    """
+
+    commands: str
+    review: str
+    picture: Path
+    moment: float | None
+
+
+def sections() -> Iterator[Section]:
+    """All of the gallery."""
+    for match in _SECTION.finditer(GALLERY.read_text()):
+        moment = match["moment"]
+        yield Section(
+            match["commands"],
+            match["review"],
+            GALLERY.parent / match["picture"],
+            None if moment is None else float(moment),
+        )
+
+
+def main() -> int:
+    """Draw those that are named, else all."""
+    names = set(sys.argv[1:])
+    for section in sections():
+        if not names or section.picture.stem in names:
+            with tempfile.TemporaryDirectory() as folder:
+                draw(section, Path(folder))
+            size_kb = section.picture.stat().st_size / 1000
+            print(f"{section.picture.relative_to(ROOT)}: {size_kb:.0f} kB", flush=True)
+    return 0
+
+
+def draw(section: Section, folder: Path) -> None:
+    """Run the commands and keep the picture of what they made."""
+    (folder / "sample_logs").symlink_to(ROOT / "sample_logs")
+    environment = {**os.environ, "PATH": f"{BIN}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
+    subprocess.run(["bash", "-c", section.commands], cwd=folder, env=environment, check=False)
+    if not (folder / section.review).is_file():
+        raise FileNotFoundError(f"{section.review}: its commands have not made it")
+    section.picture.parent.mkdir(exist_ok=True)
+    section.picture.write_bytes(reduced(screenshot(folder / section.review, section.moment)))
+
+
+def screenshot(review: Path, moment: float | None) -> bytes:
+    """A PNG of the whole viewer, when nothing in it moves any more."""
+    from rerun.experimental import ViewerClient
+
+    port = _free_port()
+    words = [str(BIN / "rerun"), str(review), "--headless", "--port", str(port)]
+    words += ["--window-size", "{}x{}".format(*SIZE_PX), "--hide-welcome-screen"]
+    viewer = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    began_s = time.monotonic()
+    try:
+        before = b""
+        while time.monotonic() - began_s < _LONGEST_S:
+            time.sleep(_EVERY_S)
+            try:
+                client = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
+                _hold(client, moment)
+                now = client.take_screenshot()
+            except (RuntimeError, ValueError, ConnectionError):  # it has only just begun
+                continue
+            if now == before and time.monotonic() - began_s > _NOTICES_S:
+                return now
+            before = now
+        raise TimeoutError(f"{review}: the viewer shows no still picture in {_LONGEST_S:.0f} s")
+    finally:
+        viewer.terminate()
+        viewer.wait()
+
+
+def _hold(client: ViewerClient, moment: float | None) -> None:
+    """Stop at a moment of the active timeline."""
+    state = client.get_state()
+    if state.loading or state.active_recording is None:
+        raise ValueError("it is still loading")
+    if moment is None:
+        client.set_time(play_state="paused")
+        return
+    (recording,) = (one for one in state.recordings if one.store_id == state.active_recording)
+    lines = {line.name: line for line in recording.timelines}
+    line = lines[recording.current_timeline or ""]
+    at = round((1 - moment) * (line.start or 0) + moment * (line.end or 0))
+    value = {
+        "sequence": at,
+        "duration": np.timedelta64(at, "ns"),
+        "timestamp": np.datetime64(at, "ns"),
+    }[line.time_type]
+    client.set_time(line.name, play_state="paused", **{line.time_type: value})
+
+
+def reduced(png: bytes) -> bytes:
+    """The same in the gallery's size and with a palette, without the viewer's own bar."""
+    from PIL import Image
+
+    picture = Image.open(io.BytesIO(png)).convert("RGB").resize(SIZE_PX, Image.Resampling.LANCZOS)
+    picture = picture.crop((0, BAR_PX, *SIZE_PX))
+    small = picture.quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=2, dither=Image.Dither.NONE)
+    out = io.BytesIO()
+    small.save(out, "PNG", optimize=True)
+    return out.getvalue()
+
+
+def _free_port() -> int:
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return one.getsockname()[1]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
