@@ -103,7 +103,7 @@ class _Counted:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Heard(Progress):
+class _HeardByFunction(Progress):
     """Progress that a function hears, and no terminal."""
 
     quiet: bool = True
@@ -182,7 +182,11 @@ def tune_all(
         stream = partial(on_ray, Cluster(ray, jobs))
     with simulated_by(engine):
         batch = run_batch(
-            order, _Heard(listener=progress), stream, jobs, after=partial(closing, order, None)
+            order,
+            _HeardByFunction(listener=progress),
+            stream,
+            jobs,
+            after=partial(closing, order, None),
         )
     assert batch.ledger is not None
     return read_ledger(batch.ledger)

@@ -118,6 +118,13 @@ def test_verbose_says_where_how_and_how_long_on_standard_error(command: Command,
     quiet = command("tunenet-tune", str(drop_log), cwd=drop_log.parent)
     assert not quiet.stderr
     said = done.stderr
-    for words in ("Python 3.", "drop in /ball/pose", "impact ", "rollouts in", "total ", "passed: "):
+    for words in (
+        "Python 3.",
+        "drop in /ball/pose",
+        "impact ",
+        "rollouts in",
+        "total ",
+        "passed: ",
+    ):
         assert words in said
     assert done.stdout.split()[:3] == quiet.stdout.split()[:3]
