@@ -20,8 +20,11 @@ _MOST_NAMED = 40
 _WIDTH = 100
 """Characters of a line of prose."""
 
-_NAME = 40
-"""Characters of a log's name in a table."""
+_NAME = 48
+"""Characters of a cell of a table: a value with its interval, or a log's name."""
+
+_LARGEST = 1e9
+"""Of a number that is written out."""
 
 _SMALLEST = 1e-4
 """Of a probability: nobody needs to know how far under it one is."""
@@ -52,7 +55,7 @@ def _group(group: ComparedGroup, numbers: Mapping[str, str], verdicts: Mapping[s
     rows: dict[str, dict[str, str]] = {
         label: {
             "": numbers[label],
-            "log": short_name(label, _NAME),
+            "log": label,
             "verdict": verdicts[label],
         }
         for label in group.labels
@@ -75,7 +78,8 @@ def _group(group: ComparedGroup, numbers: Mapping[str, str], verdicts: Mapping[s
 
 
 def _table(heads: Sequence[str], rows: Sequence[Mapping[str, str]]) -> list[str]:
-    cells = [list(heads), *([row.get(head, "-") for head in heads] for row in rows)]
+    shown = [list(heads), *([row.get(head, "-") for head in heads] for row in rows)]
+    cells = [[short_name(cell, _NAME) for cell in row] for row in shown]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     return [
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
@@ -93,7 +97,7 @@ def value_words(value: ComparedValue) -> str:
 
 def number_words(value: float) -> str:
     """Four decimals, and no minus before a zero."""
-    return f"{round(value, 4) + 0.0:.4f}"
+    return f"{value:.4g}" if abs(value) > _LARGEST else f"{round(value, 4) + 0.0:.4f}"
 
 
 def summary_lines(one: ComparedQuantity, numbers: Mapping[str, str]) -> list[str]:

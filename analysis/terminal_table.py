@@ -15,6 +15,9 @@ from tunenet_logs.terminal import one_line
 _FEWEST_DECIMALS, _MOST_DECIMALS = 4, 6
 """Of an interval's ends."""
 
+_LARGEST = 1e9
+"""Of them, that is written out: no quantity is so large, but a stranger's file may say so."""
+
 
 @dataclass(frozen=True, eq=False)
 class Row:
@@ -162,6 +165,8 @@ def interval_words(low: float, high: float) -> str:
     The last digits differ by two or more. Where six decimals do not show that, the ends are rounded
     away from each other.
     """
+    if max(abs(low), abs(high)) > _LARGEST:
+        return f"{low:.4g} to {high:.4g}"
     decimals = _FEWEST_DECIMALS
     while decimals < _MOST_DECIMALS and round(high * 10**decimals) - round(low * 10**decimals) < 2:
         decimals += 1

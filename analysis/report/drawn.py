@@ -91,8 +91,9 @@ def _drawn(makers: Sequence[Callable[[], Drawing | None]]) -> Iterator[Drawing]:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 drawing = make()
-                if drawing is not None:
+                if drawing is not None:  # laid out once, not at each saving
                     drawing.figure.draw_without_rendering()
+                    drawing.figure.set_layout_engine("none")
         except (ArithmeticError, ValueError, MemoryError):
             continue
         if drawing is not None:

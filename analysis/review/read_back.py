@@ -25,6 +25,9 @@ _MOST_PICTURES, _MOST_JOINTS, _MOST_SAMPLES = 20_000, 16, 1_000_000
 _CORNER_PX = 0.5
 """From Rerun's origin, the corner of the first pixel, to ours, its middle."""
 
+_FEWEST_CORNERS = 4
+"""Of what stands for a circle."""
+
 _JOINT = re.compile(r"/torque/joint_(\d{1,2})/(observed|fit|iterations)")
 
 _PLACES = ("/film/path", "/film/track", "/film/impacts")
@@ -145,20 +148,7 @@ def _film(moving: dict[str, Any], still: dict[str, Any]) -> ReviewedFilm | None:
     scale = 1.0 if scale is None else float(_only(scale.to_pylist()[0])[0])
     if not (np.isfinite(scale) and scale > 0):
         raise LogError("the review's pictures have no size")
-    track = moving.get("/film/observed")
-    track_s: Array = np.zeros(0)
-    centers: Array = np.zeros((0, 2))
-    radii: Array = np.zeros(0)
-    if track is not None:
-        circles = [_points(cell) for cell in track["LineStrips2D:strips"].to_pylist()]
-        is_known = np.array([len(one) > 2 and bool(np.isfinite(one).all()) for one in circles])
-        known = [one for one, is_one in zip(circles, is_known, strict=True) if is_one]
-        track_s = _seconds(track)[is_known.astype(bool)]
-        centers = np.array([circle[:-1].mean(axis=0) for circle in known]).reshape(-1, 2)
-        reach = [
-            np.linalg.norm(one[0] - middle) for one, middle in zip(known, centers, strict=True)
-        ]
-        radii = np.array(reach)
+    track_s, centers, radii = _circles(moving.get("/film/observed"))
     paths = tuple(
         _in_picture(strip, scale)
         for entity in _PLACES[:2]
@@ -176,6 +166,24 @@ def _film(moving: dict[str, Any], still: dict[str, Any]) -> ReviewedFilm | None:
         impacts_px=_in_picture(impacts.reshape(-1, 2), scale),
         is_refused="/film/track" in still,
     )
+
+
+def _circles(track: dict[str, Any] | None) -> tuple[Array, Array, Array]:
+    """Of each polygon around the ball its time [s], middle and radius [px of the film]."""
+    cells = [] if track is None else track["LineStrips2D:strips"].to_pylist()
+    polygons = [_points(cell) for cell in cells]
+    rows = [
+        row
+        for row, one in enumerate(polygons)
+        if len(one) > _FEWEST_CORNERS and np.isfinite(one).all()
+    ]
+    seconds: Array = np.zeros(0) if track is None else _seconds(track)[rows]
+    centers: Array = np.zeros((len(rows), 2))
+    radii: Array = np.zeros(len(rows))
+    for place, row in enumerate(rows):
+        centers[place] = polygons[row][:-1].mean(axis=0)  # it ends where it begins
+        radii[place] = np.hypot(*(polygons[row][0] - centers[place]))
+    return seconds, centers, radii
 
 
 def _only(cell: Any) -> Any:
