@@ -57,13 +57,13 @@ def _blueprint(charts: list[rrb.View], *, is_filmed: bool) -> rrb.Blueprint:
         lane_view("the attempts: a click goes to one"),
         rrb.Horizontal(*charts),
         _attempt(is_filmed=is_filmed),
-        row_shares=[2.7, 3, 3.1],
+        row_shares=[3.3, 3, 3.2],
         name="overview",
     )
     attempt = rrb.Vertical(
         lane_view("the attempts"),
         _attempt(is_filmed=is_filmed),
-        row_shares=[2.7, 6.1],
+        row_shares=[3.3, 6.2],
         name="attempt",
     )
     return rrb.Blueprint(

@@ -1,4 +1,4 @@
-"""The lanes of a campaign: what was dropped, tuned and shot at each attempt, and how it ended."""
+"""The lanes of a campaign: what was dropped and tuned at each attempt, and how its shot ended."""
 
 from __future__ import annotations
 
@@ -32,18 +32,11 @@ _STATES: dict[str, Color] = {
     "not tuned": MUTED,
     "shot": (160, 120, 220),
     "given up": _AMBER,
-    "not shot": MUTED,
     "success": SUCCESS,
     "failure": FAILURE,
     "not told": MUTED,
 }
-BALL, DROP, RESTITUTION, SHOT, SUCCESS_LANE = LANES = (
-    "ball",
-    "drop",
-    "restitution",
-    "shot",
-    "success",
-)
+BALL, DROP, RESTITUTION, SHOT = LANES = ("ball", "drop", "restitution", "shot")
 """What Rerun writes over them, after a slash; it sorts them by the alphabet."""
 
 _SHADE = 0.78
@@ -81,7 +74,7 @@ def log_lanes(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
     for lane in LANES:
         own = [change for change in changes if change.lane == lane]
         _send_style(stream, lane, own)
-        # Of an attempt's several drops the last counts.
+        # Of several changes in an attempt the last counts.
         last = {change.attempt: change.value for change in own}
         ends = {**last, slots[-1].attempt.number + 1: None}
         _send(stream, lane, rr.TimeColumn(ATTEMPT, sequence=list(ends)), list(ends.values()))
@@ -136,10 +129,10 @@ def _changes(slot: Slot) -> Iterator[_LaneChange]:
     kind = "tuned" if attempt.value is not None else "not tuned"
     value = kind if attempt.value is None else f"{attempt.value:.3f}"
     yield _LaneChange(RESTITUTION, value, kind, number, slot.tuned_s, slot.drop_ns(slot.used))
-    shot = "not shot" if outcome is None else "shot" if attempt.was_shot else "given up"
-    yield _LaneChange(SHOT, shot, shot, number, slot.shot_s, end_ns)
-    word = "not told" if outcome is None else outcome.word
-    yield _LaneChange(SUCCESS_LANE, word, word, number, slot.outcome_s, end_ns)
+    if attempt.was_shot:
+        yield _LaneChange(SHOT, "shot", "shot", number, slot.shot_s, None)
+    word = "not told" if outcome is None else outcome.word if attempt.was_shot else "given up"
+    yield _LaneChange(SHOT, word, word, number, slot.outcome_s, end_ns)
 
 
 def _send(

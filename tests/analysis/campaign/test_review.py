@@ -20,7 +20,7 @@ from tests.analysis.drop.test_review import contents, verified
 from tests.conftest import ROOT, Command, film
 from tunenet_logs.images import decode_image
 
-STATES = ("/ball", "/drop", "/restitution", "/shot", "/success")
+STATES = ("/ball", "/drop", "/restitution", "/shot")
 
 
 @pytest.fixture(scope="module")
@@ -94,12 +94,12 @@ def test_the_lanes_say_what_happened(review: Path):
     assert float(first) == pytest.approx(0.7, abs=0.01)
     assert float(second) == pytest.approx(0.72, abs=0.01)
     assert third == "not tuned"
-    assert lanes["/shot"] == ["shot", "shot", "given up"]
-    assert lanes["/success"] == ["success", "failure", "failure"]
+    assert lanes["/shot"] == ["success", "failure", "given up"]
     played = drawn(review, "/drop", "film_s")
     assert played == ["drop", "rejected drop", "drop again", "rejected drop", ""]
-    assert drawn(review, "/success", "film_s") == ["", "success", "", "failure", "", "failure", ""]
-    times = rows(review, "/success", "wall_clock", "state")
+    played = drawn(review, "/shot", "film_s")
+    assert played == ["", "shot", "success", "", "shot", "failure", "", "given up", ""]
+    times = rows(review, "/shot", "wall_clock", "state")
     assert len(times) == 3
 
 
@@ -201,7 +201,7 @@ def test_the_wall_clock_is_there_where_stamps_are(tmp_path: Path):
     campaigns.outcome(tmp_path, 1, drop_log="drop_1.mcap", stamp_ns=START_NS + MINUTE_NS)
     assert main([str(tmp_path), "-o", str(tmp_path / "a.rrd"), "--quiet"]) == 0
     ((begun, _),) = rows(tmp_path / "a.rrd", "/drop", "wall_clock", "state")
-    before, (ended, _) = rows(tmp_path / "a.rrd", "/success", "wall_clock", "state")
+    before, (ended, _) = rows(tmp_path / "a.rrd", "/shot", "wall_clock", "state")
     assert before == (begun, [])
     assert (ended - begun).total_seconds() == pytest.approx(60, abs=1)
 
