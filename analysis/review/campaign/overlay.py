@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -23,7 +22,6 @@ from analysis.review.drawing import (
     ticks,
 )
 from tunenet_logs.arrays import Array
-from tunenet_logs.terminal import one_line
 
 _WIDTH = 1.9
 """Of the chart of curves, in its heights: about the shape of its view."""
@@ -32,9 +30,6 @@ _SIMULATED: Color = (255, 165, 40)
 
 _EVERY = 3
 """The moving dot is at every third sample: it still goes smoothly, and the file stays small."""
-
-_LINE_LETTERS, _MOST_LETTERS = 46, 320
-"""Of the words that stand where a curve would: what fits in the view."""
 
 
 def overlay_view() -> rrb.View:
@@ -154,16 +149,13 @@ def _log_words(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
 
 
 def _words(drop: TunedDrop | None) -> str:
-    """Why a drop has no curve; "" where it has one."""
+    """Why a drop has no curve, shortly: the attempt's words say more. "" where it has one."""
     if drop is None:
-        return "no drop: nothing was recorded, or no outcome names it"
+        return "no drop was recorded for this attempt"
     if drop.overlay is not None:
         return ""
-    reason = one_line(drop.reason) or "its tuning holds none"
-    shown = textwrap.shorten(
-        f"no curve, {drop.verdict}: {reason}", _MOST_LETTERS, placeholder=" ..."
-    )
-    return "\n".join(textwrap.wrap(shown, _LINE_LETTERS))
+    said = "this drop was rejected" if drop.verdict == "rejected" else "its tuning holds none"
+    return f"no curve: {said}"
 
 
 def _log_now(stream: rr.RecordingStream, slots: Sequence[Slot], axes: _Axes) -> None:
