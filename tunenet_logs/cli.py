@@ -15,13 +15,23 @@ from tunenet_logs.terminal import Progress, one_line
 
 # The texts of --help.
 _DESCRIPTION = """\
-Logs of any kind: MCAP, ROS 1 and ROS 2 bags, CSV tables, videos.
+Logs of any kind: MCAP, ROS 1 and ROS 2 bags, CSV tables, videos."""
 
-  info      what recorded it, its channels with types, counts, rates and gaps, which
-            of them can be used and why not the others, what is damaged
-  check     is it whole: every checksum, record, message and picture
-  recover   copy what is whole of a damaged log, as it is, to a new MCAP file
-  import    bring a bag, a CSV table or a video into a log of our own format"""
+_VERBS = {
+    "info": "what recorded it, its channels with types, counts, rates and gaps, which of them can "
+    "be used and why not the others, what is damaged",
+    "check": "is it whole: every checksum, record, message and picture",
+    "recover": "copy what is whole of a damaged log, as it is, to a new MCAP file",
+    "import": "bring a bag, a CSV table or a video into a log of our own format",
+}
+
+_FAILED = {
+    "info": "a log could not be read",
+    "check": "a log is damaged or could not be read",
+    "recover": "nothing could be saved",
+    "import": "nothing was imported",
+}
+"""What exit code 1 means, by the verb."""
 
 _EXAMPLES = """\
   tunenet-logs info drop.mcap
@@ -42,8 +52,8 @@ _INFO_EXAMPLES = """\
 
 _CHECK = """\
 Read all of a log: every checksum, record, message and picture. Says what is damaged
-and where. Exit code 1 if anything is. Most bags, and logs by other recorders, carry
-no checksum of their data: then damage may go unseen, and a line says so."""
+and where. Most bags, and logs by other recorders, carry no checksum of their data:
+then damage may go unseen, and a line says so."""
 
 _CHECK_EXAMPLES = """\
   tunenet-logs check drop.mcap
@@ -53,7 +63,7 @@ _CHECK_EXAMPLES = """\
 _RECOVER = """\
 Copy every whole message of a damaged log, as it is, to a new MCAP file with an index
 and all checksums, which opens in every reader of MCAP. The log itself is never
-changed. Exit code 0 if something was saved, even if something was lost; that is listed.
+changed. What was lost is listed.
 
 Messages of ROS 1 stay what they are, so readers that know ROS 2 alone refuse the copy
 of a ROS 1 bag. `tunenet-logs import` makes a log of ROS 2 messages of it."""
@@ -84,12 +94,19 @@ _JSON_HELP = "for scripts: one JSON object a log, each on a line of its own (doc
 
 def build_parser() -> Parser:
     """The command's arguments."""
-    parser = Parser("tunenet-logs", _DESCRIPTION, _EXAMPLES)
-    verbs = parser.add_subparsers(dest="verb", metavar="{info,check,recover,import}", required=True)
+    parser = Parser("tunenet-logs", _DESCRIPTION, _EXAMPLES, failed=_FAILED["check"])
+    verbs = parser.add_subparsers(
+        dest="verb", title="what to do", metavar=f"{{{','.join(_VERBS)}}}", required=True
+    )
 
     def verb(name: str, description: str, examples: str, body: Callable) -> argparse.ArgumentParser:
         made = verbs.add_parser(
-            name, prog=f"tunenet-logs {name}", description=description, examples=examples
+            name,
+            prog=f"tunenet-logs {name}",
+            help=_VERBS[name],
+            description=description,
+            examples=examples,
+            failed=_FAILED[name],
         )
         made.set_defaults(body=body)
         return made

@@ -28,7 +28,6 @@ _CHECK_KEYS = ("whole", "messages", "channels", "damage", "notes")
 def info_fields(path: Path, episode: Episode) -> dict[str, Any]:
     """What `info` tells of a log that was read."""
     info = episode.info
-    gaps = noted_gaps(info.notes)
     return {
         "log": str(path),
         "error": None,

@@ -9,6 +9,7 @@ from analysis.tune_options import RANGES, effort_unit
 from recorders.simulators.arm.known_arms import ARMS, DEFAULT
 from recorders.simulators.balls import BALLS
 from tunenet_logs.commandline import number, whole
+from tunenet_logs.completion import offering
 from tunenet_logs.errors import UsageError
 from tunenet_logs.regular_file import real_path
 
@@ -54,7 +55,8 @@ def _cluster(text: str) -> str:
 def ball_options(group: argparse._ArgumentGroup) -> None:
     """Add the options that say what was dropped."""
     add = group.add_argument
-    add("--ball", metavar="NAME", help=f"a ball of known size and mass: {', '.join(BALLS)}")
+    ball = add("--ball", metavar="NAME", help=f"a ball of known size and mass: {', '.join(BALLS)}")
+    offering(ball, BALLS)
     add(
         "--ball-diameter",
         type=number(*RANGES["ball_diameter_m"]),
@@ -93,12 +95,13 @@ def arm_options(group: argparse._ArgumentGroup) -> None:
         metavar="FILE",
         help="write what the log, its tares and the --arm-card say of the arm; for one log",
     )
-    add(
+    arm = add(
         "--arm",
         metavar="NAME",
         help=f"whose torques these are: {', '.join(ARMS)} (default: as the joints' names say, else "
         f"{DEFAULT})",
     )
+    offering(arm, ARMS)
     add("--urdf", type=Path, metavar="FILE", help="any other serial arm")
     add("--tool-link", metavar="NAME", help="the link of that URDF in whose frame the payload is")
     add(

@@ -40,7 +40,12 @@ _EXAMPLES = """\
 
 def build_parser() -> Parser:
     """The command's arguments."""
-    parser = Parser("tunenet-plan", _DESCRIPTION, _EXAMPLES)
+    parser = Parser(
+        "tunenet-plan",
+        _DESCRIPTION,
+        _EXAMPLES,
+        failed="no shot goes in, or the tuning was rejected or cannot be read",
+    )
     add = parser.add_argument
     add("tuning", nargs="?", type=Path, metavar="TUNING.json", help="what tunenet-tune wrote")
     add("--restitution", type=number(0, 1), metavar="E", help="of the ball, in place of a tuning")

@@ -29,7 +29,7 @@ any topic, ours or not.
 Writes NAME.json (the result) and NAME.rrd (the review, for `rerun NAME.rrd`)
 beside each log, and prints a table. Of many logs (several, a folder, a pattern) with
 -o DIR it keeps DIR/ledger.parquet, a row a log, for pandas and every tool of tables,
-and DIR/ledger.rrd, all of them in one view. Exit code 1 if a log was rejected."""
+and DIR/ledger.rrd, all of them in one view."""
 
 _EXAMPLES = """\
   tunenet-tune drop.mcap

@@ -91,7 +91,9 @@ _DEFAULT_TARGETS = 100
 
 def build_parser() -> Parser:
     """The command's arguments."""
-    parser = Parser("tunenet-eval", _DESCRIPTION, _EXAMPLES)
+    parser = Parser(
+        "tunenet-eval", _DESCRIPTION, _EXAMPLES, failed="a figure could not be made or written"
+    )
     add = parser.add_argument
     add("experiment", choices=list(EXPERIMENTS), help="which experiment")
     add(
