@@ -9,6 +9,7 @@ import signal
 import sys
 import traceback
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, NoReturn
 
@@ -197,6 +198,11 @@ def whole(low: int, high: int) -> Callable[[str], int]:
         return value
 
     return parse
+
+
+def is_stdout(path: Path) -> bool:
+    """Whether a path that an option names stands for standard output: `-`."""
+    return str(path) == "-"
 
 
 def size_px(text: str) -> tuple[int, int]:

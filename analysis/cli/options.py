@@ -31,6 +31,17 @@ def jobs_option(parser: argparse.ArgumentParser, what: str) -> None:
     )
 
 
+def json_option(group: argparse._ActionsContainer, what: str, *names: str) -> None:
+    """`--json`: `what` to a file, or to standard output."""
+    group.add_argument(
+        *names,
+        "--json",
+        type=Path,
+        metavar="FILE",
+        help=f"{what} to FILE, or with - to standard output in place of all else",
+    )
+
+
 def ray_option(parser: argparse._ActionsContainer, what: str) -> None:
     """`--ray`: `what` on a cluster."""
     parser.add_argument(
