@@ -42,11 +42,11 @@ _FARTHEST = 1e6
 """[m] and [s] from zero: no curve of an experiment goes farther."""
 
 
-def to_json(record: Record) -> str:
-    """The record as one JSON object."""
+def record_fields(record: Record) -> dict[str, Any]:
+    """What the record's JSON holds, but the curves."""
     last = len(record.iterations) - 1
     cross, motion = record.cross_check, record.motion
-    fields: dict[str, Any] = {
+    return {
         "log": record.log,
         "task": record.task,
         "verdict": record.verdict,
@@ -95,6 +95,11 @@ def to_json(record: Record) -> str:
         "seconds": {name: round(value, 4) for name, value in record.seconds.items()},
         "provenance": record.provenance and _provenance_fields(record.provenance),
     }
+
+
+def to_json(record: Record) -> str:
+    """The record as one JSON object."""
+    fields = record_fields(record)
     text = json.dumps(fields, indent=1, ensure_ascii=False, allow_nan=False)
     if record.motion.curves is not None:  # on one line: it is for programs
         curves = {

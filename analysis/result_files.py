@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from analysis.record_json import read_record
+from tunenet_logs.commandline import is_stdout
 from tunenet_logs.errors import LogError, UsageError
+from tunenet_logs.json_lines import json_line
 from tunenet_logs.progress import told
 from tunenet_logs.regular_file import open_regular
 
@@ -61,6 +64,19 @@ def writable(path: Path, remedy: str) -> Iterator[None]:
 def _partial(path: Path) -> Path:
     """Where this process writes first: another one that writes the same results has another."""
     return path.with_name(f"{path.name}.{os.getpid()}{_PARTIAL}")
+
+
+def write_json(path: Path, text: str) -> None:
+    """Write a JSON to a file as it is or, for `-`, to standard output as one line of ASCII.
+
+    Raises:
+        OSError: it cannot be written; it names `path`.
+    """
+    if is_stdout(path):
+        print(json_line(json.loads(text)), flush=True)
+        return
+    with replacing(path) as partial:
+        partial.write_text(text, "utf-8")
 
 
 def check_writable(path: Path, option: str) -> None:

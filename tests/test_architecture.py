@@ -33,6 +33,7 @@ HEAVY |= {
     "fsspec",
     "pyarrow",
     "python_calamine",
+    "shtab",
     "ray",
 }
 OWNERS = {"rerun": "review", "cyclonedds": "ros2", "matplotlib": "report", "jinja2": "report"}

@@ -85,6 +85,7 @@ def run_batch(
     stream: Streamed | None = None,
     jobs: int | None = None,
     after: Callable[[Ledger], None] | None = None,
+    each: Callable[[Result], None] = lambda _result: None,
 ) -> BatchResult:
     """Tune every log, write its results, and enter it in the ledger.
 
@@ -94,6 +95,7 @@ def run_batch(
         stream: where the work is done; None for processes of this machine.
         jobs: how many processes then; None for all cores.
         after: is given the whole ledger at the end.
+        each: is given what came of each log, as it is done.
 
     Raises:
         UsageError: the options fit no log at all, or two logs would write the same results.
@@ -129,6 +131,7 @@ def run_batch(
             for at, result in results:
                 if kept is not None:
                     kept.append({**result.entry, "options": digest})
+                each(result)
                 verdict = result.row.record.verdict
                 batch.verdicts[verdict] += 1
                 batch.reasons.update(_kinds(result.row.record.reason))

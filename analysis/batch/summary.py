@@ -48,11 +48,15 @@ def overview_file(folder: Path) -> Path:
     return result_files(folder / OF_BATCH)[1]
 
 
-def print_results(results: Sequence[Result]) -> None:
-    """A table of the logs that could be read; why others could not, on standard error."""
-    rows = [result.row for result in results]
-    if any(row.is_read for row in rows):
-        print(table([row for row in rows if row.is_read]))
+def print_table(results: Sequence[Result]) -> None:
+    """A table of the logs that could be read."""
+    rows = [result.row for result in results if result.row.is_read]
+    if rows:
+        print(table(rows))
+
+
+def print_remarks(results: Sequence[Result]) -> None:
+    """What is to be known of logs, and why some could not be read, on standard error."""
     for result in results:
         record = result.row.record
         remarks = record.warnings if result.row.is_read else (record.reason, *record.warnings)

@@ -37,7 +37,9 @@ _EXAMPLES = """\
 
 def build_parser() -> Parser:
     """The command's arguments."""
-    parser = Parser("tunenet-compare", _DESCRIPTION, _EXAMPLES)
+    parser = Parser(
+        "tunenet-compare", _DESCRIPTION, _EXAMPLES, failed="there is nothing to compare"
+    )
     add = parser.add_argument
     add("places", nargs="+", type=Path, metavar="TUNING.json", help="tunings, folders with them")
     add("--csv", type=Path, metavar="FILE", help="write all values as a table, and all tests")
