@@ -44,13 +44,25 @@ class CrossCheck:
     """A second estimate that shares nothing with the first but the log.
 
     Attributes:
+        tolerance: by how much it may differ from the first and still agree, in the value's unit:
+            what systematic errors take off it in a good recording, and two or three standard
+            deviations of its own noise. It is far less exact than the first. None where that is
+            not known.
         advice: what to do where the two disagree, as one short sentence.
     """
 
     method: str
     value: float
     agrees: bool
+    tolerance: float | None = None
     advice: str = ""
+
+    @property
+    def in_words(self) -> str:
+        """The value, and whether it is as near as it should be: "0.7540 within 0.033"."""
+        if self.tolerance is None:
+            return f"{self.value:.4f}" + ("" if self.agrees else " disagrees")
+        return f"{self.value:.4f} {'' if self.agrees else 'not '}within {self.tolerance:.2g}"
 
 
 def log_checks(episode: Episode) -> tuple[Check, ...]:

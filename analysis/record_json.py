@@ -76,7 +76,12 @@ def record_fields(record: Record) -> dict[str, Any]:
         "untold": motion.untold,
         "units": motion.units and _units(motion.units),
         "cross_check": cross
-        and {"method": cross.method, "value": cross.value, "agrees": cross.agrees},
+        and {
+            "method": cross.method,
+            "value": cross.value,
+            "agrees": cross.agrees,
+            "tolerance": cross.tolerance,
+        },
         "checks": [
             {
                 "name": check.name,
@@ -215,7 +220,12 @@ def record_from(fields: Mapping[str, Any]) -> Record:
         is_fitted=bool(iterations and iterations[-1].get("refined")),
         rebounds=tuple(_rebound(bounce) for bounce in fields.get("bounces") or ()),
         cross_check=cross
-        and CrossCheck(str(cross["method"]), _number("value", cross["value"]), cross["agrees"]),
+        and CrossCheck(
+            str(cross["method"]),
+            _number("value", cross["value"]),
+            cross["agrees"],
+            _optional(lambda value: _number("tolerance", value), cross.get("tolerance")),
+        ),
         checks=tuple(
             Check(
                 str(check["name"]),

@@ -77,7 +77,7 @@ def _table(parameter: str, rows: Sequence[Row]) -> str:
         parameter: [_value(record.estimates[:1]) for record in records],
         "95 % interval": [_interval(record) for record in records],
         **_other_parameters(records),
-        "cross-check": ["-" if cross is None else f"{cross.value:.4f}" for cross in crosses],
+        "cross-check": ["-" if cross is None else cross.in_words for cross in crosses],
         (extents or [""])[0]: ["-" if row.extent is None else row.extent[1] for row in rows],
         "fits": [_fits(record) for record in records],
         "rollouts": [str(record.rollouts) for record in records],

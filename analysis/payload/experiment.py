@@ -170,7 +170,7 @@ class PayloadExperiment:
         margin_kg = share * arm_kg + fraction * float(estimate[0]) + 2 * fit.held.sd_kg
         advice = _TARED_DISAGREEMENT if detection.tares else _DISAGREEMENT
         agrees = bool(abs(mass_kg - estimate[0]) < margin_kg)
-        return CrossCheck("secant through two rollouts", mass_kg, agrees, advice)
+        return CrossCheck("secant through two rollouts", mass_kg, agrees, margin_kg, advice)
 
     def motion(self, detection: PayloadDetection, trace: Trace) -> Motion | None:
         """None: torques of seven joints are the review's; see `Experiment.motion`."""

@@ -173,7 +173,7 @@ def _notes(record: Record) -> tuple[str, ...]:
     cross, same = record.cross_check, record.motion.equivalents
     if cross is not None:
         agrees = "agrees" if cross.agrees else "disagrees"
-        notes.append(f"A second estimate {agrees}: {cross.value:.4f}, by {cross.method}.")
+        notes.append(f"A second estimate {agrees}: {cross.in_words}, by {cross.method}.")
     if same is not None:
         notes.append(
             "For a simulator without air and with one restitution for all speeds: "

@@ -34,7 +34,7 @@ def result_words(record: Record, preset: str, occasion: str | None) -> str:
     cross = record.cross_check
     if cross is not None and record.estimates:
         agrees = "agrees" if cross.agrees else "**disagrees**"
-        lines.append(f"cross-check {agrees}: {cross.value:.4f} by {cross.method}")
+        lines.append(f"cross-check {agrees}: {cross.in_words}, by {cross.method}")
     lines += [*_motion(record), *_bounces(record.rebounds), *_iterations(record, preset)]
     passed = [check for check in record.checks if check.passed]
     if passed:

@@ -166,6 +166,6 @@ def ratio_cross_check(heard: HeardBall, value: float) -> CrossCheck | None:
     best = int(np.argmin(sds))
     weights = sds**-2 / np.sum(sds**-2)
     seen = value * float(weights @ each)
-    sd = value * float(sds[best])
-    agrees = abs(seen - value) < _AGREEMENT + 3 * sd
-    return CrossCheck("ratios of the flights' durations", seen, bool(agrees), DISAGREEMENT)
+    tolerance = _AGREEMENT + 3 * value * float(sds[best])
+    agrees = abs(seen - value) < tolerance
+    return CrossCheck("ratios of the flights' durations", seen, agrees, tolerance, DISAGREEMENT)
