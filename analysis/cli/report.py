@@ -11,11 +11,9 @@ from typing import TYPE_CHECKING
 from analysis.cli.options import jobs_option
 from tunenet_logs.commandline import Parser, run
 from tunenet_logs.errors import UsageError
-from tunenet_logs.regular_file import real_path
 from tunenet_logs.terminal import Progress, one_line
 
 if TYPE_CHECKING:
-    from analysis.report.campaign_section import CampaignSection
     from analysis.report.embedded import Kind
     from analysis.tuning_files import TuningFile
 
@@ -67,46 +65,25 @@ def _report(arguments: argparse.Namespace) -> int:
     needed("matplotlib", "report")
     needed("jinja2", "report")
     from analysis.campaign.files import files_of
+    from analysis.report.reported import read_reported
 
     inputs = list(files_of(arguments.places, _warn))
     if arguments.output:
         _check_page(arguments, inputs)
-    tunings, campaigns = _read(arguments)
+    progress = Progress(quiet=arguments.quiet)
+    reported = read_reported(arguments.places, arguments.jobs, progress, _warn)
     written: list[Path] = []
-    figures = _figure_files(arguments, tunings, inputs)
+    figures = _figure_files(arguments, reported.tunings, inputs)
     if arguments.output:
         from analysis.report.page import report_page
         from analysis.result_files import replacing
 
-        place = arguments.places[0]
-        title = real_path(place).name if place.is_dir() else None
-        page = report_page(tunings, title, campaigns)
         with replacing(arguments.output) as partial:
-            partial.write_text(page, "utf-8")
+            partial.write_text(report_page(reported), "utf-8")
         written.append(arguments.output)
     written += figures
     print("written: " + ", ".join(one_line(path) for path in written))
     return 0
-
-
-def _read(
-    arguments: argparse.Namespace,
-) -> tuple[Sequence[TuningFile], list[CampaignSection]]:
-    """The tunings, and the campaign where outcomes are named."""
-    from analysis.campaign.files import holds_campaign
-    from analysis.tuning_files import in_order, read_tunings
-
-    if not holds_campaign(arguments.places):
-        return read_tunings(arguments.places, _warn), []
-    from analysis.campaign.build import campaign_of
-    from analysis.report.campaign_section import campaign_section
-
-    progress = Progress(quiet=arguments.quiet)
-    campaign = campaign_of(arguments.places, arguments.jobs, progress, _warn)
-    drops = [drop for attempt in campaign.attempts for drop in attempt.drops]
-    known = dict.fromkeys(drop.tuning for drop in drops if drop.tuning is not None)
-    tunings = in_order(read_tunings(list(known), _warn)) if known else ()
-    return tunings, [campaign_section(campaign)]
 
 
 def _check_page(arguments: argparse.Namespace, inputs: Sequence[Path]) -> None:

@@ -13,12 +13,12 @@ from markupsafe import Markup
 from analysis.comparison import Comparison, compare
 from analysis.comparison_text import number_words
 from analysis.record import Record
-from analysis.report.campaign_section import CampaignSection
 from analysis.report.compared_figures import comparison_drawings
 from analysis.report.compared_section import ComparedSection, compared_section
 from analysis.report.drawn import DrawnFigure, Room, drawings_of, missing_words, reviewed
 from analysis.report.embedded import DataUri
 from analysis.report.meanings import NEXT
+from analysis.report.reported import Reported
 from analysis.report.section import TuningSection, section_of
 from analysis.terminal_table import interval_words
 from analysis.tuning_files import TuningFile
@@ -66,16 +66,9 @@ class PagePart:
     missing: tuple[str, ...]
 
 
-def report_page(
-    tunings: Sequence[TuningFile], title: str | None, campaigns: Sequence[CampaignSection] = ()
-) -> str:
-    """The page of one tuning or several.
-
-    Args:
-        tunings: at least one, unless there is a campaign.
-        title: of several; a single tuning's page is called as its log.
-        campaigns: at most one, whose drops they are.
-    """
+def report_page(reported: Reported) -> str:
+    """The page of one tuning, of several, or of a campaign."""
+    tunings = reported.tunings
     detailed = tunings[:_MOST_DETAILED]
     compared, left = None, _MOST_BYTES
     if len(tunings) > 1:
@@ -85,13 +78,13 @@ def report_page(
         left -= sum(len(one.source) for one in compared.drawn)
     left -= _WORDS_BYTES * len(detailed)
     parts = [_part(one, number, left // len(detailed)) for number, one in enumerate(detailed, 1)]
-    is_one = len(tunings) == 1 and not campaigns
+    is_one = len(tunings) == 1 and not reported.campaigns
     facts = parts[0].section.facts if is_one else _counts(tunings)
     return _rendered(
-        title=tunings[0].label if is_one else title or facts[0],
+        title=tunings[0].label if is_one else reported.title or facts[0],
         facts=facts,
         overview=() if is_one else _overview(tunings, len(detailed)),
-        campaigns=campaigns,
+        campaigns=reported.campaigns,
         compared=compared,
         sections=parts,
     )

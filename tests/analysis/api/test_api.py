@@ -252,3 +252,19 @@ def test_a_film_is_of_a_drop_alone():
         tunenet.simulate(tunenet.PayloadOrder(), film=tunenet.FilmOrder())
     shot = tunenet.simulate(tunenet.ShotOrder(seed=2))
     assert shot.info.kind == "bounce-shot"
+
+
+def test_a_report_and_its_figures(tmp_path: Path):
+    for name in ("dull", "bouncy"):
+        tunenet.save_tuning(tunenet.tune(SAMPLES / f"{name}.mcap"), tmp_path / f"{name}.json")
+    page, *figures = tunenet.report(
+        tmp_path, tmp_path / "all.html", figures=tmp_path / "figures", kind="png"
+    )
+    assert "dull.mcap" in page.read_text()
+    assert figures
+    assert all(figure.suffix == ".png" for figure in figures)
+    with pytest.raises(tunenet.UsageError, match="exists"):
+        tunenet.report(tmp_path / "dull.json", page)
+    table = tunenet.compare([tmp_path / "dull.json", tmp_path / "bouncy.json"]).to_frame()
+    values = table[table.parameter == "restitution"].set_index("log").value
+    assert values["bouncy.mcap"] > values["dull.mcap"]
