@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -76,7 +77,7 @@ def to_json(record: Record) -> str:
         "untold": motion.untold,
         "units": motion.units and _units(motion.units),
         "cross_check": cross
-        and {"method": cross.method, "value": cross.value, "agrees": cross.agrees},
+        and {name: value for name, value in asdict(cross).items() if name != "advice"},
         "checks": [
             {
                 "name": check.name,
@@ -210,7 +211,12 @@ def record_from(fields: Mapping[str, Any]) -> Record:
         is_fitted=bool(iterations and iterations[-1].get("refined")),
         rebounds=tuple(_rebound(bounce) for bounce in fields.get("bounces") or ()),
         cross_check=cross
-        and CrossCheck(str(cross["method"]), _number("value", cross["value"]), cross["agrees"]),
+        and CrossCheck(
+            str(cross["method"]),
+            _number("value", cross["value"]),
+            cross["agrees"],
+            *(_optional(partial(_number, one), cross.get(one)) for one in ("tolerance", "noise95")),
+        ),
         checks=tuple(
             Check(
                 str(check["name"]),
