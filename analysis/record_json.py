@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -76,12 +77,7 @@ def record_fields(record: Record) -> dict[str, Any]:
         "untold": motion.untold,
         "units": motion.units and _units(motion.units),
         "cross_check": cross
-        and {
-            "method": cross.method,
-            "value": cross.value,
-            "agrees": cross.agrees,
-            "tolerance": cross.tolerance,
-        },
+        and {name: value for name, value in asdict(cross).items() if name != "advice"},
         "checks": [
             {
                 "name": check.name,
@@ -224,7 +220,7 @@ def record_from(fields: Mapping[str, Any]) -> Record:
             str(cross["method"]),
             _number("value", cross["value"]),
             cross["agrees"],
-            _optional(lambda value: _number("tolerance", value), cross.get("tolerance")),
+            *(_optional(partial(_number, one), cross.get(one)) for one in ("tolerance", "noise95")),
         ),
         checks=tuple(
             Check(

@@ -12,7 +12,7 @@ from analysis.checks import Check
 from analysis.comparison_text import number_words
 from analysis.record import Record
 from analysis.report.meanings import NEXT, meaning
-from analysis.terminal_table import interval_words, quantity
+from analysis.terminal_table import cross_words, interval_words, quantity
 
 _MOST_ROWS = 100
 """Of one table; what a file beyond any of ours holds is counted."""
@@ -173,7 +173,7 @@ def _notes(record: Record) -> tuple[str, ...]:
     cross, same = record.cross_check, record.motion.equivalents
     if cross is not None:
         agrees = "agrees" if cross.agrees else "disagrees"
-        notes.append(f"A second estimate {agrees}: {cross.in_words}, by {cross.method}.")
+        notes.append(f"A second estimate {agrees}: {cross_words(cross)}.")
     if same is not None:
         notes.append(
             "For a simulator without air and with one restitution for all speeds: "

@@ -166,6 +166,12 @@ def ratio_cross_check(heard: HeardBall, value: float) -> CrossCheck | None:
     best = int(np.argmin(sds))
     weights = sds**-2 / np.sum(sds**-2)
     seen = value * float(weights @ each)
-    tolerance = _AGREEMENT + 3 * value * float(sds[best])
-    agrees = abs(seen - value) < tolerance
-    return CrossCheck("ratios of the flights' durations", seen, agrees, tolerance, DISAGREEMENT)
+    sd = value * float(sds[best])
+    return CrossCheck.judged(
+        "ratios of the flights' durations",
+        seen,
+        value,
+        _AGREEMENT + 3 * sd,
+        sd=sd,
+        advice=DISAGREEMENT,
+    )

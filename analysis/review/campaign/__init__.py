@@ -19,6 +19,7 @@ from analysis.review.campaign.lanes import lane_view, log_lanes
 from analysis.review.campaign.overlay import overlay_view
 from analysis.review.campaign.times import ATTEMPT, slots_of
 from analysis.review.campaign.words import campaign_words
+from analysis.review.drawing import application_id
 from tunenet_logs.regular_file import real_path
 from tunenet_logs.terminal import short_name
 
@@ -38,7 +39,7 @@ def write_campaign(campaign: Campaign, path: Path) -> None:
     words = campaign_words(campaign)
     shown = os.fsencode(real_path(path)) + words.encode()
     identity = hashlib.sha256(shown).hexdigest()[:16]
-    stream = rr.RecordingStream("tunenet review campaign", recording_id=identity)
+    stream = rr.RecordingStream(application_id("campaign", shown), recording_id=identity)
     memory = stream.memory_recording()
     stream.send_recording_name(campaign.name)
     slots = slots_of(campaign.attempts)
