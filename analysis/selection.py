@@ -138,5 +138,6 @@ def check_start(start_s: float | None, length_s: float) -> None:
     """
     if start_s is not None and start_s > length_s:
         raise NotFoundError(
-            f"--start {start_s:g} is past the end: the recording is {length_s:.2f} s long"
+            f"--start {start_s:g} is past the end: the recording is {length_s:.2f} s long",
+            "give an earlier one, or leave it out",
         )

@@ -48,7 +48,9 @@ class HandPicked:
         try:
             kind = any_type(channel, self._budget)
         except UnusableError as reason:
-            raise LogError(f"{self._path}: {channel.topic} cannot be read: {reason}") from reason
+            raise LogError(
+                f"{self._path}: {channel.topic} cannot be read: {reason}", "name another topic"
+            ) from reason
         rows = HandRows(self._path, channel, picks, kind)
         self._topics.append(rows)
         return rows
@@ -70,7 +72,9 @@ class HandPicked:
             found += signals
             notes += repairs
         if not found:
-            raise LogError(f"{self._path}: the fields that --columns names hold no value")
+            raise LogError(
+                f"{self._path}: the fields that --columns names hold no value", "name others"
+            )
         return found, notes
 
     def _check(self) -> None:
@@ -101,8 +105,9 @@ class HandPicked:
                 example += likely_field(fields)
                 break
         return LogError(
-            f"{self._path}: no topic of --columns {target}={text[:80]}; "
-            f"there are: {listed(topics)}{example}"
+            f"{self._path}: no topic of --columns {target}={text[:80]} "
+            f"(there are: {listed(topics)})",
+            f"name one of these{example}",
         )
 
 

@@ -2,9 +2,30 @@
 
 
 class TuneNetError(Exception):
-    """Root of every error this project raises on purpose; shown as one line, without traceback."""
+    """Root of every error this project raises on purpose; shown as one line, without traceback.
+
+    Attributes:
+        what: is wrong, and where.
+        remedy: what to do about it, an order or "at the next drop: ..."; "" where `what` ends with
+            it. It stands last in the line.
+
+    Args:
+        what: see there.
+        remedy: see there.
+    """
 
     exit_code = 1
+
+    def __init__(self, what: object = "", remedy: str = "") -> None:
+        self.what, self.remedy = str(what), remedy
+        super().__init__(f"{what}; {remedy}" if remedy else self.what)
+
+
+COPY_AGAIN = "copy it again, or record again"
+"""The remedy for a file that is not whole, or not what a recorder writes."""
+
+CHECK_DISK = "check its path, its permissions and its disk"
+"""The remedy for a file that the system does not give."""
 
 
 class UsageError(TuneNetError):

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tunenet_logs.errors import LogError
+from tunenet_logs.errors import COPY_AGAIN, LogError
 
 MAX_PIXELS = 36_000_000
 """Of any picture: a little more than 8K video has."""
@@ -78,13 +78,18 @@ def image_size(data: bytes) -> tuple[int, int]:
         raise LogError("an image is no whole JPEG, PNG or WebP; record the camera again as JPEG")
     width, height = size
     if not 0 < width * height <= MAX_PIXELS:
-        raise LogError(f"an image claims {width} x {height} px, over the limit of {MAX_PIXELS} px")
+        raise LogError(
+            f"an image claims {width} x {height} px, over the limit of {MAX_PIXELS} px",
+            "record smaller pictures",
+        )
     if width * height > _MOST_PIXELS_A_BYTE * len(data):
-        raise LogError(f"an image claims {width} x {height} px in {len(data)} bytes: damaged")
+        raise LogError(
+            f"an image claims {width} x {height} px in {len(data)} bytes: damaged", COPY_AGAIN
+        )
     if kind == "jpeg" and data.count(_SCAN) > _MOST_SCANS:
-        raise LogError(f"an image has over {_MOST_SCANS} scans: forged")
+        raise LogError(f"an image has over {_MOST_SCANS} scans: forged", COPY_AGAIN)
     if kind == "png" and sum(map(data.count, _PACKED_WORDS)) > _MOST_PACKED_WORDS:
-        raise LogError(f"an image has over {_MOST_PACKED_WORDS} packed words: forged")
+        raise LogError(f"an image has over {_MOST_PACKED_WORDS} packed words: forged", COPY_AGAIN)
     return size
 
 
@@ -118,7 +123,9 @@ def decode_image(data: bytes, encoding: str) -> NDArray[np.uint8]:
     except cv2.error:
         pixels = None
     if pixels is None or pixels.shape != (height, width, 3) or pixels.dtype != np.uint8:
-        raise LogError(f"an image of encoding {encoding[:24]!r} is damaged and cannot be decoded")
+        raise LogError(
+            f"an image of encoding {encoding[:24]!r} is damaged and cannot be decoded", COPY_AGAIN
+        )
     return np.asarray(pixels, np.uint8)
 
 
@@ -149,7 +156,9 @@ def decode_small(data: bytes, encoding: str, least_px: int) -> NDArray[np.uint8]
     except cv2.error:
         pixels = None
     if pixels is None or pixels.ndim != 3:
-        raise LogError(f"an image of encoding {encoding[:24]!r} is damaged and cannot be decoded")
+        raise LogError(
+            f"an image of encoding {encoding[:24]!r} is damaged and cannot be decoded", COPY_AGAIN
+        )
     return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), np.uint8)
 
 

@@ -31,6 +31,8 @@ _MOST_REASONS = 3
 Write = Callable[[EpisodeWriter], None]
 """Writes one message."""
 
+_NAME_ANOTHER = "name a log that does, or say which column is which with --columns"
+
 
 @dataclass(frozen=True)
 class Imported:
@@ -75,7 +77,7 @@ def import_log(
     said = notes_of_frames(episode)
     streams = [*_signal_streams(episode, topics, said), *_picture_streams(episode, topics)]
     if not streams:
-        raise LogError(_why_nothing(path, episode))
+        raise LogError(_why_nothing(path, episode), _NAME_ANOTHER)
     notes = {**episode.info.notes, **said, "imported_from": path.name}
     source = episode.info.source or path.name
     info = replace(episode.info, source=source, notes=notes)
@@ -88,7 +90,7 @@ def import_log(
             write(writer)
             bar.update(1)
         if not writer.accepted:
-            raise LogError(_why_nothing(path, episode))
+            raise LogError(_why_nothing(path, episode), _NAME_ANOTHER)
     left_out = [
         f"{channel.topic}: {channel.skipped}" for channel in episode.channels if channel.skipped
     ]

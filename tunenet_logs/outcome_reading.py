@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NoReturn
 
-from tunenet_logs.errors import LogError
+from tunenet_logs.errors import CHECK_DISK, LogError
 from tunenet_logs.formats.base import (
     DAMAGED,
     Container,
@@ -129,7 +129,7 @@ def holds_outcomes(file: Path) -> bool:
     except OverBudgetError:
         return True
     except OSError as error:
-        raise LogError(f"{file}: cannot be read ({error.strerror})") from error
+        raise LogError(f"{file}: cannot be read ({error.strerror})", CHECK_DISK) from error
     return not channels or any(map(_is_outcome, channels.values()))
 
 
@@ -162,7 +162,7 @@ def _of_log(path: Path, container: Container, warn: Warn) -> Iterator[Outcome]:
                 if decode is not None:
                     yield from _decoded(path, decode, record.data, warn)
     except OSError as error:
-        raise LogError(f"{path}: cannot be read ({error.strerror})") from error
+        raise LogError(f"{path}: cannot be read ({error.strerror})", CHECK_DISK) from error
     if channels and not any(map(_is_outcome, channels)):
         return  # what is damaged is a recording of something else
     for loss in losses:

@@ -10,7 +10,7 @@ from math import isnan
 from pathlib import Path
 from typing import Any, NoReturn
 
-from tunenet_logs.errors import LogError
+from tunenet_logs.errors import CHECK_DISK, LogError
 from tunenet_logs.formats.tables.lines import SEPARATORS, cells_of, lines_of
 from tunenet_logs.formats.tables.numbers import Numbers
 from tunenet_logs.outcome import BOUNCE_SHOT, Outcome
@@ -71,7 +71,7 @@ def read_outcome_table(path: Path) -> tuple[Outcome, ...]:
         table = _Table(path, _checked(path, header[1]))
         return tuple(table.outcome(number, line) for number, line in lines)
     except OSError as error:
-        raise LogError(f"{path}: cannot be read ({error.strerror})") from error
+        raise LogError(f"{path}: cannot be read ({error.strerror})", CHECK_DISK) from error
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:

@@ -7,10 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tunenet_logs.errors import LogError
+from tunenet_logs.errors import COPY_AGAIN, LogError
 
 _DEPTH = ("32F", "64F", "16S", "32S", "8S")
 """How encodings of numbers begin that are no brightness."""
+
+_RECORD_COLOUR = "record the camera's colour or grey pictures"
 
 
 @dataclass(frozen=True)
@@ -80,8 +82,14 @@ def pixel_format_of(encoding: str) -> PixelFormat:
     if found is None:
         name = encoding[:24]
         if name.startswith(_DEPTH):
-            raise LogError(f"pictures of encoding {name!r} are distances, not what a camera sees")
-        raise LogError(f"pictures of encoding {name!r} are not read (only {', '.join(_FORMATS)})")
+            raise LogError(
+                f"pictures of encoding {name!r} are distances, not what a camera sees",
+                _RECORD_COLOUR,
+            )
+        raise LogError(
+            f"pictures of encoding {name!r} are not read (only {', '.join(_FORMATS)})",
+            _RECORD_COLOUR,
+        )
     return found
 
 
@@ -102,7 +110,9 @@ def decode_pixels(data: bytes, encoding: str, size: tuple[int, int]) -> NDArray[
         length <= 0 or length % share
         for length, share in zip(size, form.color_block_px, strict=True)
     ):
-        raise LogError(f"{len(data)} bytes are no {encoding} picture of {width} x {height} px")
+        raise LogError(
+            f"{len(data)} bytes are no {encoding} picture of {width} x {height} px", COPY_AGAIN
+        )
     if form.sample_bytes == 2:
         samples = (np.frombuffer(data, "<u2") >> 8).astype(np.uint8)
     else:

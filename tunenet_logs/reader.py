@@ -10,7 +10,7 @@ from pathlib import Path
 
 from tunenet_logs.collect import JointRows, PictureStamps, PositionRows
 from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame
-from tunenet_logs.errors import LogError
+from tunenet_logs.errors import CHECK_DISK, COPY_AGAIN, LogError
 from tunenet_logs.formats import registry
 from tunenet_logs.formats.base import (
     Container,
@@ -83,10 +83,10 @@ def read_episode(path: Path, options: ReadOptions = AS_IT_SAYS) -> Episode:
             elif isinstance(record, RawMetadata) and record.name == INFO_RECORD:
                 info = dict(record.values)
     except OSError as error:
-        raise LogError(f"{path}: cannot be read ({error.strerror})") from error
+        raise LogError(f"{path}: cannot be read ({error.strerror})", CHECK_DISK) from error
     if not topics and not info and not all(loss.harmless for loss in losses):
         why = "; ".join(str(loss) for loss in losses[:3])
-        raise LogError(f"{path}: nothing in it can be read: {why}")
+        raise LogError(f"{path}: nothing in it can be read: {why}", COPY_AGAIN)
     contents = list(dict.fromkeys(by_channel.values()))
     about = EpisodeInfo.from_strings(info)
     episode = restored(_episode(path, container, losses, about, contents, plan), options)
@@ -209,6 +209,7 @@ def _frames(
             left -= frame.work_px()
         if left < 0:
             raise LogError(
-                f"{path}: its pictures claim far more pixels than a log of that size has"
+                f"{path}: its pictures claim far more pixels than a log of that size has",
+                COPY_AGAIN,
             )
         yield frame

@@ -50,7 +50,7 @@ def header_stamps_ns(path: Path, topic: str) -> list[int]:
                 elif isinstance(record, Message) and record.channel_id in numbers:
                     stamps.append(_stamp_ns(record.data))
     except (OSError, McapError, struct.error) as error:
-        raise LogError(f"{path}: cannot be read again ({error})") from error
+        raise LogError(f"{path}: cannot be read again ({error})", "check its disk") from error
     return stamps
 
 
@@ -72,14 +72,17 @@ def restamp(path: Path, topic: str, stamps_ns: Mapping[int, int], note: str) -> 
             with open_regular(path) as log:
                 _copy(log, copy.descriptor, topic, stamps_ns, note)
                 if not os.path.samestat(os.lstat(path), os.fstat(log.fileno())):
-                    raise LogError(f"{path}: was replaced while its stamps were written")
+                    raise LogError(
+                        f"{path}: was replaced while its stamps were written",
+                        "leave it where it is, and do it again",
+                    )
                 copy.rename(path, replaces=True)
         finally:
             copy.remove()  # nothing is there where it was renamed
     except (OSError, McapError) as error:
         if isinstance(error, OSError):
             raise not_writable(path, error) from error
-        raise LogError(f"{path}: cannot be read again ({error})") from error
+        raise LogError(f"{path}: cannot be read again ({error})", "check its disk") from error
 
 
 def _copy(

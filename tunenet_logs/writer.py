@@ -274,7 +274,7 @@ class EpisodeWriter:
 
     def _break_off(self, error: OSError) -> NoReturn:
         if self._is_over:
-            raise LogError(f"{self.path}: the recording is over") from error
+            raise LogError(f"{self.path}: the recording is over", "begin another") from error
         verb = "import" if self._is_import else "record"
         is_full = error.errno in NO_SPACE
         remedy = f"free some space and {verb} again" if is_full else f"{verb} to another disk"

@@ -100,7 +100,10 @@ def fetched(address: str) -> Iterator[Path]:
         except LogError:
             raise
         except Exception as error:
-            raise LogError(f"{address}: cannot be read ({_why(error)})") from error
+            raise LogError(
+                f"{address}: cannot be read ({_why(error)})",
+                "check the address and your rights to it",
+            ) from error
         yield copy
 
 

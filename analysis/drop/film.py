@@ -21,6 +21,7 @@ from analysis.drop.film_search import FilmFit, bounces_end, film_impacts, fit_fr
 from analysis.drop.free_fall import Drop
 from analysis.drop.observations import canonical_axis, canonical_observation, paper_axis
 from analysis.drop.projection import Projection
+from analysis.drop.remedies import FILM_MORE
 from analysis.estimators.base import Observation, resample
 from analysis.statistics import noise_of
 from analysis.tracking.track import Track
@@ -125,7 +126,9 @@ def find_filmed_drop(track: Track, start_ns: int, ball: Ball | None = None) -> F
     """
     known = _usable(track)
     if len(known) < FEWEST_SAMPLES:
-        raise NotFoundError(f"the ball is seen in {len(known)} pictures: too few for a drop")
+        raise NotFoundError(
+            f"the ball is seen in {len(known)} pictures: too few for a drop", FILM_MORE
+        )
     seconds = (track.stamps_ns[known] - start_ns).astype(np.float64) * 1e-9
     down = track.gravity_px / np.linalg.norm(track.gravity_px)
     along = -(track.places_px[known] @ down)

@@ -91,11 +91,11 @@ class PartedFilm(NamedTuple):
         away = f"the camera was away for {gaps_in_words(self.gaps, self.start_ns)}"
         remedy = "drop it again while the camera's connection holds"
         if cut:
-            raise NotFoundError(f"{away}, in the middle of a drop: {remedy}")
+            raise NotFoundError(f"{away}, in the middle of a drop", remedy)
         if reasons and all(isinstance(reason, UsageError) for reason in reasons):
             raise reasons[0]
         why = f" (of the first: {reasons[0]})" if reasons else ""
-        raise NotFoundError(f"{away}, and no part between shows a whole drop: {remedy}{why}")
+        raise NotFoundError(f"{away}, and no part between shows a whole drop{why}", remedy)
 
     def warning(self, part: FilmPart) -> str:
         """That only this part is used."""

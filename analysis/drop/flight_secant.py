@@ -40,7 +40,9 @@ class FlightSecant(Estimator):
     def estimate(self, problem: Problem, rollouts: int) -> Trace:
         """The next place to look at, or the one of least cost; see `Estimator.estimate`."""
         if check_one_parameter(problem, self.name) != RESTITUTION:
-            raise NotFoundError("the method secant compares flights: it is for drops alone")
+            raise NotFoundError(
+                "the method secant compares flights", "leave --method out: it is for drops"
+            )
         search = Search(problem, rollouts, keep_best=False)
         return search.run(lambda: _optimize(search, problem))
 

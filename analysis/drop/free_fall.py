@@ -24,6 +24,7 @@ from analysis.drop.impact import (
     release,
     rest_and_end,
 )
+from analysis.drop.remedies import DENSER, GOOD_DROP, LONGER
 from analysis.statistics import noise_of
 from recorders.simulators.base import GRAVITY_M_S2
 from tunenet_logs.arrays import Array
@@ -120,11 +121,12 @@ def find_drops(seconds: Array, heights_m: Array) -> list[Drop]:
         NotFoundError: there is none; the message says why.
     """
     if len(seconds) < _MIN_SAMPLES:
-        raise NotFoundError(f"{len(seconds)} samples of the ball are too few for a drop")
+        raise NotFoundError(f"{len(seconds)} samples of the ball are too few for a drop", DENSER)
     noise = noise_of(heights_m)
     span = float(np.ptp(heights_m))
     if span < max(MIN_DROP_M, 20 * noise):
-        raise NotFoundError(f"the ball does not fall: it moves by {1000 * span:.1f} mm in all")
+        moved = f"the ball does not fall: it moves by {1000 * span:.1f} mm in all"
+        raise NotFoundError(moved, GOOD_DROP)
     width = max(2, round(_SLOPE_WINDOW_S / float(np.median(np.diff(seconds)))))
     impacts: list[int] = []
     if len(heights_m) > 2 * width:
@@ -132,7 +134,7 @@ def find_drops(seconds: Array, heights_m: Array) -> list[Drop]:
         impacts = slope_corners(slopes, width, _FAST * min(slopes[:-width].min(), 0.0), _SHARP)
     drops: list[Drop] = []
     odd: list[Drop] = []
-    reasons: list[str] = []
+    reasons: list[NotFoundError] = []
     end = 0
     for index in impacts:
         if index < end:
@@ -140,7 +142,7 @@ def find_drops(seconds: Array, heights_m: Array) -> list[Drop]:
         try:
             drop, drop_end = _fit_drop(seconds, heights_m, end, index, noise)
         except NotFoundError as reason:
-            reasons.append(str(reason))
+            reasons.append(reason)
             continue
         later = [at for at in impacts if seconds[at] > drop.impact_s + drop.fall_time_s / 4]
         if _is_free(drop, float(seconds[later[0]]) if later else drop.impact_s):
@@ -149,7 +151,7 @@ def find_drops(seconds: Array, heights_m: Array) -> list[Drop]:
         else:  # a hand may lower a ball along a parabola too
             odd.append(replace(drop, is_free=False))
     if not drops and not odd:
-        raise NotFoundError(reasons[0] if reasons else "no fall ends in an impact")
+        raise reasons[0] if reasons else NotFoundError("no fall ends in an impact", GOOD_DROP)
     return drops or odd[:1]
 
 
@@ -232,13 +234,13 @@ def _fit_drop(
     if len(flight):
         impact = meet(clock, heights, fall, flight, noise)
         if impact.flight_restitution < -_ROUGH - 3 * impact.flight_restitution_sd:
-            raise NotFoundError("the ball falls on: it hits nothing there")
+            raise NotFoundError("the ball falls on: it hits nothing there", GOOD_DROP)
     else:
         near = heights[index - 1 : index + 4]
         impact = falling_to(float(near.min()), parabola, level_sd_m=float(np.ptp(near)))
     rest, end = rest_and_end(clock, heights, index, impact, noise)
     if not len(rest) and not len(flight):
-        raise NotFoundError("the recording ends before the ball rebounds")
+        raise NotFoundError("the recording ends before the ball rebounds", LONGER)
     level_m = float("nan")
     tolerance_m = 4 * impact.contact_sd_m + 0.001 * impact.drop_height_m + 0.001
     if len(rest):
@@ -254,7 +256,7 @@ def _fit_drop(
                 flight_restitution_sd=impact.flight_restitution_sd,
             )
     if not _has_rebound(clock[:end] - impact.impact_s, heights[:end], impact, noise):
-        raise NotFoundError("the ball does not bounce: it stays where it lands")
+        raise NotFoundError("the ball does not bounce: it stays where it lands", GOOD_DROP)
     release_s, release_m = release(clock, heights, start, int(fall[-1]), impact)
     first = max(start, int(np.searchsorted(clock, release_s - _MARGIN_S)))
     last_s = impact.impact_s + _MOST_FALL_TIMES * impact.fall_time_s
@@ -313,7 +315,7 @@ def _has_rebound(since: Array, heights: Array, impact: Impact, noise: float) -> 
     contact, depth = impact.contact_m, impact.drop_height_m
     early = (since > 0) & (since < 0.25 * impact.fall_time_s)
     if not early.any():
-        raise NotFoundError("the recording ends before the ball rebounds")
+        raise NotFoundError("the recording ends before the ball rebounds", LONGER)
     rise = float(np.mean(heights[early])) - contact
     if rise > 3 * noise / np.sqrt(early.sum()) + 1e-5 * depth:
         return True

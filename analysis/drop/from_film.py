@@ -70,16 +70,17 @@ class DropFromFilm:
     ) -> FilmDetection:
         if len(topics) == 1:
             return _detect_whole(episode, topics[0], selection, physical=physical)
-        reasons: list[str] = []
+        reasons, remedy = list[str](), ""
         for topic in topics:
             try:
                 detection = _detect_whole(episode, topic, selection, physical=physical)
                 detection.film  # noqa: B018 (only its fit shows whether a camera saw the drop)
             except NotFoundError as reason:
-                reasons.append(f"{topic}: {reason}")
+                reasons.append(f"{topic}: {reason.what}")
+                remedy = remedy or reason.remedy
             else:
                 return detection
-        raise NotFoundError("; ".join(reasons))
+        raise NotFoundError("; ".join(reasons), remedy)
 
     def checks(
         self, detection: FilmDetection, last: Step, fit: FitResult | None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -23,6 +24,7 @@ from analysis.drop.presets import PAPER_HEIGHT_M, PRESETS
 from analysis.drop.problem import drop_problem
 from analysis.drop.rebounds import reported_rebounds
 from analysis.drop.recorded_height import position_signals
+from analysis.drop.remedies import GOOD_DROP
 from analysis.drop.track_search import PositionTrack, is_something_else, moves_as_found
 from analysis.estimators.base import FitResult, Step
 from analysis.experiment import Claim
@@ -74,7 +76,7 @@ class DropFromPositions:
 
     def detect(self, episode: Episode, selection: Selection, preset: str) -> DropDetection:
         """The first drop of the ball's signal; see `Experiment.detect`."""
-        reasons: list[str] = []
+        reasons: list[tuple[str, NotFoundError]] = []
         unused: list[str] = []
         if selection.arm_options:
             unused.append(f"{', '.join(selection.arm_options)} not used: this is a drop")
@@ -90,14 +92,15 @@ class DropFromPositions:
             try:
                 track_found = _detect_in(episode, signal, selection, preset)
             except NotFoundError as reason:
-                reasons.append(f"{signal.name}: {reason}")
+                reasons.append((signal.name, reason))
                 continue
             found = found or track_found
             if moves_as_found(track_found):
                 found = track_found
                 break
         if found is None or (reasons and is_something_else(found)):
-            raise NotFoundError("; ".join((_why_none(episode, reasons), *unused)))
+            why = "; ".join((_why_none(episode, reasons), *unused))
+            raise NotFoundError(why, reasons[0][1].remedy or GOOD_DROP)
         return replace(found, warnings=(*found.warnings, *unused))
 
     def checks(
@@ -143,13 +146,17 @@ def _candidates(episode: Episode, selection: Selection) -> list[Signal]:
         if not positions:
             usable = {name for name, one in episode.signals.items() if one.is_position}
             known = listed(sorted({*usable, *episode.picture_topics})) or "none"
-            raise NotFoundError(f"no usable topic {selection.topic}; there is: {known}")
+            raise NotFoundError(
+                f"no usable topic {selection.topic} (there is: {known})",
+                "name one of these with --topic, or leave it out",
+            )
     else:
         positions = position_signals(episode.signals.values())
     if not positions:
         seen = listed(f"{one.topic} ({one.type_name or 'no type'})" for one in episode.channels)
         raise NotFoundError(
-            f"no channel with the position of a ball or pictures of it; channels: {seen or 'none'}"
+            f"no channel with a ball's position or with pictures (channels: {seen or 'none'})",
+            "record one of them, or say which column is which with --columns (docs/formats.md)",
         )
     return positions
 
@@ -180,11 +187,13 @@ def _spread(found: DropDetection) -> list[str]:
     return [f"{told}; the one at {found.drop.impact_s:.2f} s is the result (see --start)"]
 
 
-def _why_none(episode: Episode, reasons: list[str]) -> str:
+def _why_none(episode: Episode, reasons: Sequence[tuple[str, NotFoundError]]) -> str:
     """That none of the tracks is a ball's that bounces, and what the file is."""
+    name, reason = reasons[0]
+    first = f"{name}: {reason.what}"
     if len(reasons) == 1:
-        return reasons[0]
-    tracks = f"none of {len(reasons)} tracks falls freely and bounces ({reasons[0]})"
+        return first
+    tracks = f"none of {len(reasons)} tracks falls freely and bounces ({first})"
     return f"{episode.info.source}: {tracks}" if episode.info.source else tracks
 
 

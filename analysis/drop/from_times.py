@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from analysis.checks import Check, CrossCheck
+from analysis.drop.remedies import RIGHT_TIMES
 from analysis.drop.times.checks import ratio_cross_check, times_checks
 from analysis.drop.times.detection import (
     FEWEST_IMPACTS,
@@ -73,15 +74,15 @@ class DropFromTimes:
             if given
         ]
         if not len(signal.stamps_ns):
-            raise NotFoundError(f"{signal.name}: holds no impact times")
+            raise NotFoundError(f"{signal.name}: holds no impact times", RIGHT_TIMES)
         check_start(selection.start_s, float(signal.seconds[-1]))
         begin_s = -np.inf if selection.start_s is None else selection.start_s
         end_s = np.inf if selection.end_s is None else selection.end_s
         times_s = signal.seconds[(signal.seconds >= begin_s) & (signal.seconds <= end_s)]
         if len(times_s) < FEWEST_IMPACTS:
             raise NotFoundError(
-                f"{signal.name}: {len(times_s)} impact times; a restitution takes {FEWEST_IMPACTS} "
-                "or more, for two whole flights"
+                f"{signal.name}: {len(times_s)} impact times, too few for two whole flights",
+                f"at the next drop: record {FEWEST_IMPACTS} impacts or more",
             )
         if len(times_s) > MOST_TIMES:
             warnings.append(

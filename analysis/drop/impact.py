@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.drop.remedies import GOOD_DROP
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import NotFoundError
 
@@ -200,7 +201,7 @@ def fall_samples(
         top = max(top, float(heights[first]))
     depth = top - low
     if depth < max(MIN_DROP_M, 15 * noise):
-        raise NotFoundError(f"the ball falls by only {1000 * depth:.0f} mm")
+        raise NotFoundError(f"the ball falls by only {1000 * depth:.0f} mm", GOOD_DROP)
     for fraction in _FALL_FRACTIONS:
         high = np.flatnonzero(heights[first : index - 1] > low + fraction * depth)
         begin = first + (int(high[-1]) + 1 if len(high) else 0)
@@ -211,7 +212,8 @@ def fall_samples(
         residuals = heights[fall] - np.polyval(parabola, clock[fall])
         if parabola[0] < 0 and np.sqrt(np.mean(residuals**2)) < 2 * noise + 0.002 * depth:
             return fall, parabola
-    raise NotFoundError("no free fall is seen before an impact (carried, or too few samples)")
+    what = "no free fall is seen before an impact (carried, or too few samples)"
+    raise NotFoundError(what, GOOD_DROP)
 
 
 def release(

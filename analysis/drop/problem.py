@@ -6,6 +6,7 @@ import numpy as np
 
 from analysis.drop import observations as views
 from analysis.drop.detection import AnyDetection
+from analysis.drop.remedies import DENSER, GOOD_DROP, RIGHT_LENGTHS
 from analysis.estimators.base import FitResult, Problem
 from recorders.simulators.contact import CALIBRATED, PAPER, ContactSettings
 from recorders.simulators.drop import DropRig, DropSimulator
@@ -16,8 +17,8 @@ HIGHEST_M = 100.0
 """Of a drop: from higher up lengths are more likely in mm or cm than in m."""
 
 NO_FALL = (
-    "no fall of a ball is seen in it: what moves there falls neither freely nor onto a table; "
-    "record a ball that is dropped and bounces (see --start, --end for a part)"
+    "no fall of a ball is seen in it: what moves there falls neither freely nor onto a table "
+    "(see --start, --end for a part)"
 )
 """Where the log tells no unit, and what was found is no drop in any."""
 
@@ -49,10 +50,11 @@ def drop_problem(detection: AnyDetection, initial: Array) -> Problem:
     except UsageError as error:  # the user chose nothing here: the log asks for it
         height_m = detection.drop.drop_height_m
         if height_m >= HIGHEST_M and detection.units.length_m is None:
-            raise NotFoundError(NO_FALL) from error
-        unit = f"the ball falls {height_m:.4g} m; are the lengths in mm or cm? give them in m"
-        why = unit if height_m >= HIGHEST_M else error
-        raise NotFoundError(f"this drop cannot be simulated: {why}") from error
+            raise NotFoundError(NO_FALL, GOOD_DROP) from error
+        is_high = height_m >= HIGHEST_M
+        why = f"the ball falls {height_m:.4g} m; are the lengths in mm or cm?" if is_high else error
+        remedy = RIGHT_LENGTHS if is_high else GOOD_DROP
+        raise NotFoundError(f"this drop cannot be simulated: {why}", remedy) from error
     simulator = DropSimulator(rig, contact)
     height_m = contact.gravity_m_s2 * detection.drop.fall_time_s**2 / 2
     if contact == PAPER:
@@ -82,7 +84,7 @@ def _at_launch(detection: AnyDetection, drop_height_m: float) -> tuple[float, fl
     """Height above contact [m] and upward speed [m/s] of a thrown ball at its first sample."""
     posterior = detection.posterior
     if posterior is None:
-        raise NotFoundError("too few samples of the ball's flights are seen")
+        raise NotFoundError("too few samples of the ball's flights are seen", DENSER)
     view = posterior.fit.projection()
     at = view.fall_times(np.array([detection.drop.release_s]))[0]
     low, here, high = view.bounce.heights(at + _SHORT * np.array([-1.0, 0.0, 1.0])) * drop_height_m

@@ -14,6 +14,7 @@ from analysis.drop.free_fall import Drop, find_drops, outliers
 from analysis.drop.gravity import Gravity, gravity_in
 from analysis.drop.launched import launched_drops
 from analysis.drop.motion import fit_excess_percent
+from analysis.drop.remedies import GOOD_DROP, LET_GO, RIGHT_LENGTHS
 from analysis.drop.track_outliers import ball_alone
 from analysis.drop.units import (
     Scaled,
@@ -89,7 +90,7 @@ class PositionTrack:
             keep &= seconds <= end_s
         signal = replace(signal, stamps_ns=signal.stamps_ns[keep], values=signal.values[keep])
         if not len(signal.stamps_ns):
-            raise NotFoundError("no sample with a position (in the part that was selected)")
+            raise NotFoundError("no sample with a position (in the part that was selected)", _PART)
         return replace(self, signal=signal)
 
     def detect(self) -> DropDetection:
@@ -111,9 +112,10 @@ class PositionTrack:
         if free is not None and (usual is None or moves_as_found(free) or not _may_be(usual)):
             return free
         if usual is None:
-            raise reason or NotFoundError("no free flight that ends in an impact is seen")
+            what = "no free flight that ends in an impact is seen"
+            raise reason or NotFoundError(what, GOOD_DROP)
         if usual.physical and not _may_be(usual):
-            raise NotFoundError(_why_not(usual))
+            raise _why_not(usual)
         return usual
 
     def _surely_free(self) -> DropDetection | None:
@@ -217,7 +219,7 @@ class PositionTrack:
             odd = odd or found
         if odd is not None:
             return odd
-        raise first_reason or NotFoundError("the ball does not move")
+        raise first_reason or NotFoundError("the ball does not move", GOOD_DROP)
 
     def launched(self, units: Units, gravity: Gravity, noise_m: float) -> DropDetection | None:
         """The first bounce between free flights that the fit explains; None without any."""
@@ -300,18 +302,23 @@ def _may_be(detection: DropDetection) -> bool:
     return drop.is_free and (not len(after_m) or float(after_m.min()) > lowest_m)
 
 
-def _why_not(detection: DropDetection) -> str:
+def _why_not(detection: DropDetection) -> NotFoundError:
     """Why what falls there is no drop."""
     drop = detection.drop
     if not drop.is_free:
-        return (
+        return NotFoundError(
             f"falls with {drop.gravity_m_s2:.2f} m/s², and not freely on both sides of an impact: "
-            "is it carried, or are the lengths in mm or cm? see --length-unit"
+            "is it carried, or are the lengths in mm or cm?",
+            f"{RIGHT_LENGTHS}, or {LET_GO}",
         )
-    return (
+    return NotFoundError(
         "no impact with free flight on both sides is seen, and it goes on below where it fell to: "
-        "is it caught by hand? drop onto the middle of a large, level surface"
+        "is it caught by hand?",
+        "at the next drop: let the ball fall onto the middle of a large, level surface",
     )
+
+
+_PART = "give --start and --end of a part in which the ball is seen, or leave them out"
 
 
 def _sideways(values: Array, up: Array) -> Array:

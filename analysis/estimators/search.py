@@ -96,5 +96,6 @@ def check_one_parameter(problem: Problem, method: str) -> Parameter:
     """
     if len(problem.parameters) != 1:
         names = ", ".join(parameter.name for parameter in problem.parameters)
-        raise NotFoundError(f"the method {method} is for one parameter, not for {names}")
+        what = f"the method {method} is for one parameter, not for {names}"
+        raise NotFoundError(what, "leave --method out, or choose fit")
     return problem.parameters[0]

@@ -193,7 +193,10 @@ def _payload(record: Record, options: ExportOptions) -> ExportedPayload:
     except UsageError as error:
         raise LogError(f"{error}; tune the log again") from error
     if payload.mass_kg <= 0:
-        raise LogError("its payload weighs nothing: there is nothing to mount")
+        raise LogError(
+            "its payload weighs nothing: there is nothing to mount",
+            "tune a log in which it holds something",
+        )
     return payload
 
 

@@ -154,7 +154,7 @@ def read_arm_log(
                 velocities = _fresh(velocity, arm, first_ns, part)
         efforts = _fresh(effort, arm, first_ns, part, positions.rests)
     except NotFoundError as error:
-        raise NotFoundError("; ".join((str(error), *cut))) from error
+        raise NotFoundError("; ".join((error.what, *cut)), error.remedy) from error
     angles, remarks = in_radians(positions.seconds, positions.values, arm)
     columns = match_joints(arm.joint_names, effort.columns)
     return ArmLog(
@@ -215,16 +215,18 @@ def _checked_topic(episode: Episode, arm: Arm, topic: str) -> str:
         raise NotFoundError(reasons[0])
     usable = {_topic(signal) for signal in episode.signals.values() if signal.unit in JOINT_UNITS}
     known = listed(sorted(usable)) or "none"
-    raise NotFoundError(f"no usable topic {topic}; there is: {known}")
+    what = f"no usable topic {topic} (there is: {known})"
+    raise NotFoundError(what, "name one of these with --topic, or leave it out")
 
 
 def _pick(episode: Episode, unit: str, arm: Arm, topic: str | None, what: str) -> Signal:
     """The signal of that unit which has all joints: the preferred topic's, else one that moves."""
     there = [signal for signal in episode.signals.values() if signal.unit == unit]
     if not there:
+        left_out = _left_out(episode, unit)
         raise NotFoundError(
-            f"no {what} in this log (there: {listed(tuple(episode.signals))}): "
-            f"{_left_out(episode, unit) or _RECORD_REMEDY}"
+            f"no {what} in this log (there: {listed(tuple(episode.signals))}){left_out}",
+            _RECORD_REMEDY,
         )
     is_still: dict[str, bool] = {}
     for signal in there:
@@ -252,7 +254,7 @@ def _left_out(episode: Episode, unit: str) -> str:
         if unit == "N·m" and channel.skipped and _TORQUES.search(channel.skipped)
     ]
     reasons.sort(key=lambda reason: "--torque-constants" not in reason)
-    return "; ".join(reasons[:_MOST_REASONS])
+    return ": " + "; ".join(reasons[:_MOST_REASONS]) if reasons else ""
 
 
 def _measured(effort: Signal, arm: Arm) -> Signal:
@@ -278,7 +280,8 @@ def _measured(effort: Signal, arm: Arm) -> Signal:
         )
     if len(finite) and not np.any(np.ptp(finite, axis=0)):
         raise NotFoundError(
-            f"{_topic(effort)}: no torque ever changes: the driver was stuck, or measures none"
+            f"{_topic(effort)}: no torque ever changes: the driver was stuck, or measures none",
+            "record the topic on which the driver gives measured torques",
         )
     return effort
 

@@ -29,7 +29,10 @@ def save_arm_card(tuning: Tuning, path: Path, *, overwrite: bool) -> None:
     provenance = tuning.provenance
     is_payload = isinstance(detection, PayloadDetection) and tuning.verdict != "rejected"
     if not is_payload or provenance is None:
-        raise LogError(f"{path}: not written: {tuning.log} shows no payload, and so no arm")
+        raise LogError(
+            f"{path}: not written: {tuning.log} shows no payload, and so no arm",
+            "name a log of an arm that moves",
+        )
     log = {"log": tuning.log.name, "sha256": provenance.log_sha256}
     before = detection.card.runs if detection.card else ()
     card = ArmCard(

@@ -110,17 +110,18 @@ def read_tare(tare: Path | Episode, arm: Arm, log: ArmLog, selection: Selection)
         mass_kg = episode.info.truth.get(PAYLOAD_MASS.name, 0.0)
         if mass_kg > 0:
             raise NotFoundError(
-                f"held {mass_kg:g} kg, as it says: name a run with nothing in the gripper"
+                f"held {mass_kg:g} kg, as it says", "name a run with nothing in the gripper"
             )
         if _is_same_run(empty, log):
             raise NotFoundError(
-                "has the torques of the log itself: name another run, with nothing in the gripper"
+                "has the torques of the log itself",
+                "name another run, with nothing in the gripper",
             )
         motion = arm_motion(empty)
         return Tare(replace(empty, warnings=(*empty.warnings, *jump_warnings(recorded))), motion)
     except (LogError, NotFoundError) as error:
-        reason = str(error).removeprefix(f"{tare}: ")
-        raise NotFoundError(f"--tare{name}: {reason}") from error
+        reason = error.what.removeprefix(f"{tare}: ")
+        raise NotFoundError(f"--tare{name}: {reason}", error.remedy) from error
 
 
 def conventions_of(selection: Selection) -> tuple[Convention, ...]:
@@ -196,8 +197,8 @@ class PayloadDetection:
         most_kg = PAYLOAD_MASS.bounds[1]
         if fit.held.mass_kg > most_kg:
             raise NotFoundError(
-                f"these torques hold {fit.held.mass_kg:.3g} kg, over {most_kg:g} kg: are they in "
-                "N·m?"
+                f"these torques hold {fit.held.mass_kg:.3g} kg, over {most_kg:g} kg",
+                "say their unit with --effort-unit, or record torques in N·m",
             )
         return fit
 

@@ -101,7 +101,8 @@ class Pictures:
             self._look_for_pictures(usual)
         if not len(self.stamps_ns):
             raise NotFoundError(
-                "holds no picture that can be decoded (in the part selected)" + self._why
+                "holds no picture that can be decoded (in the part selected)" + self._why,
+                "give --start and --end of a part with pictures, or record or copy it again",
             )
         self.arrivals = correct_late_stamps(
             self.stamps_ns,
@@ -136,7 +137,7 @@ class Pictures:
                 picture = frame.decode(self.scale) if size == self.size_px else None
             except LogError as error:
                 self.damaged += 1
-                self._why = f": {error}"
+                self._why = f": {error.what}"
                 continue
             if picture is None:
                 self.other_size += 1

@@ -30,6 +30,10 @@ from tunenet_logs.progress import told
 _FEW_FRAMES = 5
 """Pictures of a flight that is searched for once more, against two backgrounds: fewer show it."""
 
+_MARK = "mark the ball with --roi, --hsv or --ball-at"
+
+_FILM_MORE = "at the next drop: film fall and bounces at 60 pictures a second or more"
+
 _NEAR_PX = 50
 """From a mark to the edge of what it marks, in the reduced picture: it need not be exact."""
 
@@ -100,7 +104,7 @@ def track_ball(pictures: Pictures, hints: Hints | None = None) -> Track:
     hints = hints or Hints()
     stamps_ns = pictures.stamps_ns
     if len(stamps_ns) < LEAST_SEEN:
-        raise NotFoundError(f"{len(stamps_ns)} pictures are too few for a drop")
+        raise NotFoundError(f"{len(stamps_ns)} pictures are too few for a drop", _FILM_MORE)
     seconds = (stamps_ns - stamps_ns[0]).astype(np.float64) * 1e-9
     allowed = pictures.allowed(hints.roi)
 
@@ -151,8 +155,9 @@ def _arc_of(table: Candidates, least_frames: int = LEAST_FRAMES) -> Arc:
     if arc is None:
         raise NotFoundError(
             "no ball is seen to fly: nothing in the pictures moves along a parabola, as a drop "
-            "does that is filmed from the side (mark it with --roi, --hsv or --ball-at if it is "
-            "hard to see)"
+            "does that is filmed from the side",
+            f"{_MARK} if it is hard to see (--preview: with a click), or at the next drop: film it "
+            "from the side, with light and a plain background (docs/camera.md)",
         )
     return arc
 
@@ -201,7 +206,7 @@ def _track(
     cut = ~picked(table.whole.astype(float), chosen).astype(bool)  # at the edge: half a ball
     positions[cut], areas[cut] = np.nan, np.nan
     if np.isfinite(areas).sum() < LEAST_SEEN:
-        raise NotFoundError("the ball is lost after a few pictures (mark it with --roi or --hsv)")
+        raise NotFoundError("the ball is lost after a few pictures", _MARK)
     red, green, blue = np.nanmedian(picked(table.colours, chosen), axis=0).round().astype(int)
     scale = pictures.scale
     return Track(

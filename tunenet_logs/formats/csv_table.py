@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Signal
-from tunenet_logs.errors import LogError
+from tunenet_logs.errors import CHECK_DISK, LogError
 from tunenet_logs.formats.read_options import AS_IT_SAYS, ReadOptions
 from tunenet_logs.formats.tables.failures import (
     CELLS_REMEDY,
@@ -56,7 +56,7 @@ def read_csv(path: Path, options: ReadOptions = AS_IT_SAYS) -> Episode:
     try:
         return read_lines(path, lines_of(path), options)
     except OSError as error:
-        raise LogError(f"{path}: cannot be read ({error.strerror})") from error
+        raise LogError(f"{path}: cannot be read ({error.strerror})", CHECK_DISK) from error
 
 
 def read_lines(path: Path, lines: Iterable[str | None], options: ReadOptions) -> Episode:

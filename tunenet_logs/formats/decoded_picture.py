@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tunenet_logs.episode import Frame
-from tunenet_logs.errors import LogError
+from tunenet_logs.errors import COPY_AGAIN, LogError
 from tunenet_logs.pixels import mean_of_blocks
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def _rgb(picture: VideoFrame, rotation_deg: int, dithered: bool, scale: int) -> 
     try:
         pixels = np.asarray(picture.to_ndarray(format="rgb24"), np.uint8)
     except (FFmpegError, ValueError, OverflowError, MemoryError) as error:
-        raise LogError(f"a picture of a video cannot be shown ({error})") from error
+        raise LogError(f"a picture of a video cannot be shown ({error})", COPY_AGAIN) from error
     if not dithered and picture.width % scale == picture.height % scale == 0:
         pixels, scale = mean_of_blocks(pixels, scale), 1  # the same, and less to turn
     if rotation_deg:

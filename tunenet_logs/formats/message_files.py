@@ -67,13 +67,15 @@ def read_packed(
     with open_regular(path) as file:
         compression = compression_of(file.read(_START_BYTES))
     if not compression:
-        raise LogError(f"{path}: is not compressed in a way that is read")
+        raise LogError(f"{path}: is not compressed in a way that is read", "unpack it first")
     budget = budget or Budget(path.stat().st_size)
     with unpacked(path, compression, losses, budget) as inside:
         with open_regular(inside) as file:
             read = message_file(file.read(_START_BYTES))
         if read is None:
-            raise LogError(f"{path}: holds no MCAP log and no bag")
+            raise LogError(
+                f"{path}: holds no MCAP log and no bag", "unpack it, and name what is in it"
+            )
         try:
             yield from read(inside, losses, topics, budget)
         except LogError as error:

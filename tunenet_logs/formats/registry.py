@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from tunenet_logs.episode import Episode
-from tunenet_logs.errors import LogError
+from tunenet_logs.errors import CHECK_DISK, LogError
 from tunenet_logs.formats.base import Container, Decode, Loss, RawChannel, UnusableError
 from tunenet_logs.formats.budget import Budget
 from tunenet_logs.formats.csv_table import read_csv
@@ -104,11 +104,11 @@ def open_log(path: Path, options: ReadOptions = AS_IT_SAYS) -> Container | Episo
             is_pictures = is_picture_folder(path)
             return read_picture_folder(path, options) if is_pictures else read_folder
         if not path.exists():
-            raise LogError(f"{path}: no such file")
+            raise LogError(f"{path}: no such file", "check its name and folder")
         with open_regular(path) as file:
             start = file.read(_START_BYTES)
     except OSError as error:
-        raise LogError(f"{path}: cannot be read ({error.strerror})") from error
+        raise LogError(f"{path}: cannot be read ({error.strerror})", CHECK_DISK) from error
     if not start:
         raise LogError(f"{path}: is empty; record it again")
     if container := message_file(start):
@@ -172,14 +172,14 @@ def _read_foreign(path: Path, options: ReadOptions) -> Episode:
         if is_table(path):
             return read_csv(path, options)
     except OSError as error:
-        raise LogError(f"{path}: cannot be read ({error.strerror})") from error
+        raise LogError(f"{path}: cannot be read ({error.strerror})", CHECK_DISK) from error
     try:
         return read_video(path, options)
     except LogError as error:
         if kind := foreign_kind(start.data, path):
             what, remedy = kind
             raise LogError(f"{path}: is {what}, which is not read as it is; {remedy}") from error
-        why = str(error).removeprefix(f"{path}: ")
+        why = error.what.removeprefix(f"{path}: ")
         known = f"an MCAP log, a bag (.bag, .db3), a table ({', '.join(SUFFIXES)}) or a video"
         remedy = "convert it to one of these or, if it is one, record or copy it again"
         raise LogError(f"{path}: is not {known}: it {why}; {remedy}") from error
@@ -199,7 +199,7 @@ def _open_packed(path: Path, compression: str, options: ReadOptions) -> Containe
         with unpacked(path, compression, losses, budget, MOST_FOREIGN_BYTES) as inside:
             episode = _read_inside(inside, path, options)
     except OSError as error:
-        raise LogError(f"{path}: cannot be read ({error.strerror})") from error
+        raise LogError(f"{path}: cannot be read ({error.strerror})", CHECK_DISK) from error
     if episode.open_frames is not None:
         raise LogError(f"{path}: is a packed video; unpack it first with {_UNPACK[compression]}")
     lost = tuple(str(loss) for loss in losses)

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from tunenet_logs.errors import LogError
+from tunenet_logs.errors import COPY_AGAIN, LogError
 from tunenet_logs.formats.base import (
     DAMAGED,
     Loss,
@@ -60,7 +60,9 @@ def read_db3(
         losses.append(Loss(f"reading stopped, as {error}; what follows was left out"))
         return
     except (*DATABASE_ERRORS, NoTableError) as error:
-        raise LogError(f"{path}: is no ROS 2 bag that can be read: {described(error)}") from error
+        raise LogError(
+            f"{path}: is no ROS 2 bag that can be read: {described(error)}", COPY_AGAIN
+        ) from error
     what = "a .db3 bag carries no checksum, so its integrity cannot be vouched for"
     losses.append(Loss(what, harmless=True))
 

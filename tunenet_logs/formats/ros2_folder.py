@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from tunenet_logs.errors import LogError
+from tunenet_logs.errors import COPY_AGAIN, LogError
 from tunenet_logs.formats.base import Loss, RawMetadata, Record
 from tunenet_logs.formats.budget import Budget
 from tunenet_logs.formats.compression import ZSTD_MAGIC
@@ -73,7 +73,7 @@ def read_folder(
         if len(described) > 1:  # our own recordings are one file each
             raise _several(path, files)
     if len(troubles) == len(files):
-        raise LogError(f"{path}: no file in it can be read; {troubles[0]}")
+        raise LogError(f"{path}: no file in it can be read: {troubles[0]}", COPY_AGAIN)
     losses[begin:] = _without_repeats(losses[begin:])
 
 
@@ -117,9 +117,9 @@ def _records(
     with open_regular(file) as stream:
         start = stream.read(len(magic))
     if not start:
-        raise LogError(f"{file}: is empty")
+        raise LogError(f"{file}: is empty", COPY_AGAIN)
     if start != magic:
-        raise LogError(f"{file}: is no {ending} file")
+        raise LogError(f"{file}: is no {ending} file", COPY_AGAIN)
     yield from read(file, losses, topics, budget)
 
 
@@ -160,7 +160,10 @@ def _files(folder: Path) -> list[Path]:
     if len(files) == 1:
         return files
     if len(files) > _MOST_PARTS:
-        raise LogError(f"{folder}: is a directory with over {_MOST_PARTS} files of messages")
+        raise LogError(
+            f"{folder}: is a directory with over {_MOST_PARTS} files of messages",
+            "name one of its files",
+        )
     numbered = {file: match for file in files if (match := _numbered(file))}
     names = {(_ending(file), match[1]) for file, match in numbered.items()}
     if len(numbered) < len(files) or len(names) > 1:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame
-from tunenet_logs.errors import LogError
+from tunenet_logs.errors import CHECK_DISK, COPY_AGAIN, LogError
 from tunenet_logs.formats.decoded_picture import decoded_frame
 from tunenet_logs.formats.mp4_claims import CheckedFile
 from tunenet_logs.formats.read_options import AS_IT_SAYS, ReadOptions
@@ -84,7 +84,9 @@ class Video:
             made_up, left_px = False, _most_pixels(self.path)
             for picture in container.decode(_video_stream(container, self.path)):
                 if picture.width * picture.height > MAX_PIXELS:
-                    raise LogError(f"{self.path}: a picture claims {picture.width} px of width")
+                    raise LogError(
+                        f"{self.path}: a picture claims {picture.width} px of width", COPY_AGAIN
+                    )
                 left_px -= picture.width * picture.height
                 if left_px < 0:
                     raise LogError(f"{self.path}: {_TOO_LARGE}")
@@ -259,9 +261,9 @@ def _opened(path: Path) -> Iterator[InputContainer]:
                     raise LogError(f"{path}: {checked.refused}; cut the drop out of it")
     except (FFmpegError, ValueError, OverflowError, MemoryError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise LogError(f"{path}: is no video that can be read ({reason})") from error
+        raise LogError(f"{path}: is no video that can be read ({reason})", COPY_AGAIN) from error
     except OSError as error:
-        raise LogError(f"{path}: cannot be read ({error.strerror})") from error
+        raise LogError(f"{path}: cannot be read ({error.strerror})", CHECK_DISK) from error
 
 
 def _is_shown(packet: Any) -> bool:
@@ -291,7 +293,8 @@ def _video_stream(container: InputContainer, path: Path) -> Any:
     width, height = stream.codec_context.width, stream.codec_context.height
     if not 0 < width * height <= MAX_PIXELS:
         raise LogError(
-            f"{path}: claims pictures of {width} x {height} px, over the limit of {MAX_PIXELS} px"
+            f"{path}: claims pictures of {width} x {height} px, over the limit of {MAX_PIXELS} px",
+            "make it smaller, or cut the drop out of it",
         )
     stream.codec_context.options = {"max_pixels": str(MAX_PIXELS)}
     stream.thread_type = "AUTO"

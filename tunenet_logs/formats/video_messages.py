@@ -150,7 +150,9 @@ def _opened(name: str) -> VideoCodecContext:
     try:
         decoder = av.CodecContext.create(name, "r")
     except UnknownCodecError as error:
-        raise LogError(f"this machine's FFmpeg cannot decode {name}") from error
+        raise LogError(
+            f"this machine's FFmpeg cannot decode {name}", "record the camera as JPEG or H.264"
+        ) from error
     assert isinstance(decoder, av.VideoCodecContext)
     decoder.options = {"max_pixels": str(MAX_PIXELS)}
     decoder.thread_type = "SLICE"  # threads for each picture would keep one more picture each

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from analysis.drop.remedies import RIGHT_TIMES
 from analysis.drop.times.fit import Rig
 from analysis.drop.times.posterior import HeardBall, heard_ball
 from analysis.estimators.base import FitResult, Observation, Problem
@@ -75,15 +76,15 @@ class TimesDetection:
         )
         refused = "are no bouncing ball's: from impact to impact its flights get shorter by a ratio"
         if found is None:
-            raise NotFoundError(f"{what}, {refused}")
+            raise NotFoundError(f"{what}, {refused}", RIGHT_TIMES)
         if found.values[0] >= _EVEN and found.told:
             raise NotFoundError(
-                f"{what}, {refused}; these beats are nearly even ({found.values[0]:.3f})"
+                f"{what}, {refused}; these beats are nearly even ({found.values[0]:.3f})",
+                RIGHT_TIMES,
             )
         if found.log_odds < _NO_ODDS:
             raise NotFoundError(
-                f"{what}, {refused}; noises at random times explain them better "
-                "(see --start, --end for a part of the log)"
+                f"{what}, {refused}; noises at random times explain them better", RIGHT_TIMES
             )
         return found
 
@@ -154,7 +155,8 @@ def times_problem(detection: TimesDetection, initial: Array) -> Problem:
         flights_s = np.diff(heard.times_s)
         raise NotFoundError(
             f"these impacts cannot be simulated: {error}; flights of {1000 * flights_s.min():.3g} "
-            f"to {1000 * flights_s.max():.3g} ms: are the times in seconds?"
+            f"to {1000 * flights_s.max():.3g} ms: are the times in seconds?",
+            RIGHT_TIMES,
         ) from error
     count = len(detection.target.axis)
 
@@ -214,5 +216,6 @@ def no_times(episode: Episode, topic: str | None) -> NotFoundError:
     """Why an episode has none."""
     known = listed(sorted(signals_in(episode, None)))
     if topic is not None and known:
-        return NotFoundError(f"no impact times in topic {topic}; there are: {known}")
+        what = f"no impact times in topic {topic} (there are: {known})"
+        return NotFoundError(what, "name one of these with --topic, or leave it out")
     return NotFoundError("no channel with times of impacts; name them: --columns times=COLUMN")

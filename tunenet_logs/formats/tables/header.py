@@ -179,12 +179,16 @@ class _Before:
         separator, names = self._names(row)
         if row is None or not names:
             place = next(iter(self._said.values()))
-            raise ValueError(f"has no column {place[:60]!r} in its first {_MOST_BEFORE} lines")
+            raise ValueError(
+                f"has no column {place[:60]!r} in its first {_MOST_BEFORE} lines; name one that it has"
+            )
         known = names if any(names) else [f"column {at}" for at in range(1, len(names) + 1)]
         places, missing = places_of(self._said, known)
         if missing:
             listed = short_list(known) or "none"
-            raise ValueError(f"has no column {missing[0][:60]!r}; its columns are {listed}")
+            raise ValueError(
+                f"has no column {missing[0][:60]!r}; its columns are {listed}; name one of them"
+            )
         return self._below_names(self._said_layout(places, known, separator))
 
     def _below_names(self, layout: TableLayout) -> TableLayout:
@@ -244,7 +248,7 @@ def _unusable(layout: TableLayout) -> str:
     listed = "; ".join(reasons[:4]) or "it has times alone"
     offer = f"; {offer_by_name(layout.header)}" if reasons or layout.width == 1 else ""
     if len(layout.header) <= _FEW_COLUMNS:
-        offer += "; times of impacts are used as well: --columns times=..."
+        offer += "; name times of impacts, if it has them: --columns times=..."
     return f"holds no track and no torques that can be used ({listed}){offer}"
 
 

@@ -128,5 +128,5 @@ def _meaning_as(target: str, name: str) -> Meaning:
             return found
     raise ValueError(
         f"--columns says that {name[:60]!r} is {target}, but it is in {unit[:40]!r}, which is no "
-        "unit of that"
+        "unit of that; name another column"
     )

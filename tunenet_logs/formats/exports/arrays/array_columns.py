@@ -43,6 +43,8 @@ _PLURALS = {"ts": "t", "xs": "x", "ys": "y", "zs": "z"}
 Arrays = Mapping[str, NDArray[Any]]
 """Arrays by their names."""
 
+_NAME_THEM = "save a table of time and x, y, z, or say which is which with --columns t=..,z=.."
+
 
 def arrays_episode(
     path: Path, what: str, arrays: Arrays, options: ReadOptions, unused: Mapping[str, str]
@@ -80,7 +82,9 @@ def arrays_episode(
         columns += [rows] if rows.ndim == 1 else list(rows.T)
     if not columns:
         reasons = "; ".join(f"{name[:40]!r}: {why}" for name, why in list(left_out.items())[:4])
-        raise LogError(f"{path}: holds no array of numbers that is a place over time ({reasons})")
+        raise LogError(
+            f"{path}: holds no array of numbers that is a place over time ({reasons})", _NAME_THEM
+        )
     plan = plan_columns(path, names, options, meant, left_out)
     needed = {at: columns[at] for at in plan.needed}
     return columns_episode(path, what, plan, needed, options, rate_hz=_rate(plain), unused=left_out)
@@ -169,11 +173,13 @@ def number_names(array: NDArray[Any], path: Path, options: ReadOptions) -> dict[
     if array.ndim == 1 and array.size:
         array = array.reshape(-1, 1)
     if array.ndim != 2 or not array.size or array.dtype.kind not in "biuf":
-        raise LogError(f"{path}: is an array ({shape}) that is no table of numbers")
+        raise LogError(f"{path}: is an array ({shape}) that is no table of numbers", _NAME_THEM)
     if array.shape[0] < array.shape[1]:
         array = array.T
     if array.shape[1] > _MOST_WIDTH:
-        raise LogError(f"{path}: is an array ({shape}), which is more than an arm or a ball has")
+        raise LogError(
+            f"{path}: is an array ({shape}), which is more than an arm or a ball has", _NAME_THEM
+        )
     if not options.columns:
         raise LogError(
             f"{path}: is an array ({shape}) whose columns have no names; say which is which by "

@@ -299,7 +299,8 @@ def _joints(
         there = listed([one.stem for one in choice.used]) or "none"
         raise LogError(
             f"{path}: --torque-constants: there are no measured currents of joints (columns of "
-            f"joints: {there})"
+            f"joints: {there})",
+            "leave it out, or name their columns: --columns current_1=...",
         )
     signals: list[PlannedSignal] = []
     for (side, quantity), one in by_key.items():

@@ -98,7 +98,8 @@ def _read_document(path: Path, document: dict[str, Any], options: ReadOptions) -
     if not lists:
         raise LogError(
             f"{path}: is one JSON object without records over time (it has: "
-            f"{', '.join(list(map(str, document))[:8])[:200]})"
+            f"{', '.join(list(map(str, document))[:8])[:200]})",
+            "write one list of numbers for time and each of x, y, z",
         )
     return arrays_episode(path, "JSON", lists, options, unused)
 

@@ -83,7 +83,7 @@ def read_numpy_file(path: Path, options: ReadOptions) -> Episode:
 def _damaged(path: Path, error: Exception) -> LogError:
     why = str(error).partition("\n")[0][:120]
     if isinstance(error, _RefusedError):
-        return LogError(f"{path}: {why}")
+        return LogError(f"{path}: {why}", "save it again, as numbers alone")
     return LogError(f"{path}: NumPy's file is damaged ({why}); save it again")
 
 

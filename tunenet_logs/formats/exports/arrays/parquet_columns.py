@@ -111,7 +111,7 @@ def _answer(path: Path, answers: IO[bytes]) -> dict[str, Any]:
         raise _ended(path)
     said = json.loads(line)
     if "error" in said:
-        raise LogError(f"{path}: Parquet file that is not read: {said['error']}")
+        raise LogError(f"{path}: Parquet file that is not read: {said['error']}", "write it again")
     return said
 
 

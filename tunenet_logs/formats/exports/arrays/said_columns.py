@@ -39,7 +39,8 @@ def said_index(path: Path, said: str, names: Sequence[str]) -> int:
     if said.isascii() and said.isdecimal() and 1 <= int(said[:9]) <= len(names):
         return int(said) - 1
     there = listed([name[:40] for name in names]) or "none"
-    raise LogError(f"{path}: no column is called {said[:60]!r}; there is: {there}")
+    what = f"{path}: no column is called {said[:60]!r} (there is: {there})"
+    raise LogError(what, "name one of these, or its number from 1")
 
 
 def _as_is(name: str) -> str:

@@ -74,7 +74,8 @@ def read_c3d(path: Path, options: ReadOptions) -> Episode:
             raise LogError(f"{path}: is a {WHAT} that {error}; is the file whole?") from error
         if not 0 < header.points <= MOST_COLUMNS // 3:
             raise LogError(
-                f"{path}: is a {WHAT} of {header.points} points; 1 to {MOST_COLUMNS // 3} are read"
+                f"{path}: is a {WHAT} of {header.points} points (1 to {MOST_COLUMNS // 3} can be)",
+                "export the ball's marker alone",
             )
         stated = _frames(header)
         tracks, used = _tracks(header, stated)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tunenet_logs.episode import FRAME_NS, Channel, Episode, EpisodeInfo, Frame
-from tunenet_logs.errors import LogError
+from tunenet_logs.errors import COPY_AGAIN, LogError
 from tunenet_logs.formats.exports.pictures.picture_bytes import MOST_BYTES
 from tunenet_logs.formats.exports.pictures.picture_series import MOST_PICTURES
 from tunenet_logs.formats.exports.start import Start
@@ -76,7 +76,8 @@ def read_animated_webp(path: Path, options: ReadOptions) -> Episode:
     if canvas[0] * canvas[1] * len(parts) > limit:
         raise LogError(
             f"{path}: is an animated WebP of {len(parts)} pictures of {canvas[0]} x {canvas[1]} "
-            "px, more than its size allows"
+            "px, more than its size allows",
+            COPY_AGAIN,
         )
     warnings: list[str] = []
     is_timed = True
@@ -115,12 +116,12 @@ def _scanned(path: Path) -> tuple[tuple[int, int], list[_Chunk], list[int], bool
         file.seek(24)
         canvas = (1 + _number(file.read(3)), 1 + _number(file.read(3)))
         if canvas[0] * canvas[1] > MAX_PIXELS:
-            raise LogError(f"{path}: claims pictures of {canvas[0]} x {canvas[1]} px")
+            raise LogError(f"{path}: claims pictures of {canvas[0]} x {canvas[1]} px", COPY_AGAIN)
         for name, at, length in _chunks(file, 30, size):
             if name != b"ANMF":
                 continue
             if len(parts) >= MOST_PICTURES:
-                raise LogError(f"{path}: claims more than {MOST_PICTURES} pictures")
+                raise LogError(f"{path}: claims more than {MOST_PICTURES} pictures", COPY_AGAIN)
             file.seek(at)
             head = file.read(_PART_HEADER)
             if length <= _PART_HEADER or at + length > size:
@@ -136,7 +137,7 @@ def _scanned(path: Path) -> tuple[tuple[int, int], list[_Chunk], list[int], bool
                 head[15],
             )
             if part.left + part.width > canvas[0] or part.top + part.height > canvas[1]:
-                raise LogError(f"{path}: claims a picture outside of its own size")
+                raise LogError(f"{path}: claims a picture outside of its own size", COPY_AGAIN)
             parts.append(part)
             lasts_ms.append(lasts)
         file.seek(4)
@@ -207,7 +208,7 @@ def _decoded(path: Path, chunks: bytes, part: _Chunk) -> NDArray[np.uint8]:
         pixels = None
     wanted = (part.height, part.width)
     if pixels is None or pixels.ndim != 3 or pixels.shape[:2] != wanted:
-        raise LogError(f"{path}: a picture is damaged")
+        raise LogError(f"{path}: a picture is damaged", COPY_AGAIN)
     turned = cv2.COLOR_BGRA2RGBA if pixels.shape[2] == 4 else cv2.COLOR_BGR2RGB
     return np.asarray(cv2.cvtColor(pixels, turned), np.uint8)
 

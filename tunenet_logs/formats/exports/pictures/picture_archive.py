@@ -11,7 +11,7 @@ from lzma import LZMAError
 from pathlib import Path, PurePosixPath
 
 from tunenet_logs.episode import Episode
-from tunenet_logs.errors import LogError
+from tunenet_logs.errors import CHECK_DISK, COPY_AGAIN, LogError
 from tunenet_logs.formats.exports.pictures.animated_webp import is_animated_webp, read_animated_webp
 from tunenet_logs.formats.exports.pictures.picture_bytes import MOST_BYTES
 from tunenet_logs.formats.exports.pictures.picture_film import FEWEST, PictureStore, Read, film_of
@@ -144,14 +144,16 @@ def _opened(path: Path) -> Iterator[Read]:
         with open_regular(path) as file, zipfile.ZipFile(file) as archive:
             yield partial(_bytes_of, archive)
     except OSError as error:
-        raise LogError(f"{path}: cannot be read ({error.strerror})") from error
+        raise LogError(f"{path}: cannot be read ({error.strerror})", CHECK_DISK) from error
 
 
 def _bytes_of(archive: zipfile.ZipFile, name: str) -> bytes:
     try:
         if archive.getinfo(name).file_size > MOST_BYTES:
-            raise LogError(f"{name} is over the limit of {MOST_BYTES} bytes")
+            raise LogError(
+                f"{name} is over the limit of {MOST_BYTES} bytes", "save smaller pictures"
+            )
         with archive.open(name) as file:
             return file.read(MOST_BYTES)
     except _UNREADABLE as error:
-        raise LogError(f"{name} is damaged ({error})") from error
+        raise LogError(f"{name} is damaged ({error})", COPY_AGAIN) from error

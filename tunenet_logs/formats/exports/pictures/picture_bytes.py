@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tunenet_logs.episode import Frame
-from tunenet_logs.errors import LogError
+from tunenet_logs.errors import COPY_AGAIN, LogError
 from tunenet_logs.images import MAX_PIXELS, image_format, image_size
 
 MOST_BYTES = 120_000_000
@@ -91,7 +91,7 @@ def _pixels(data: bytes) -> NDArray[Any]:
     width, height = _stated_size(data)
     most = min(_MOST_PIXELS, _MOST_PIXELS_A_BYTE * len(data))
     if not 0 < width * height <= most:
-        raise LogError(f"a picture claims {width} x {height} px in {len(data)} bytes")
+        raise LogError(f"a picture claims {width} x {height} px in {len(data)} bytes", COPY_AGAIN)
     import cv2
 
     flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION
@@ -104,7 +104,7 @@ def _pixels(data: bytes) -> NDArray[Any]:
     finally:
         cv2.utils.logging.setLogLevel(level)
     if pixels is None or pixels.shape != (height, width, 3):
-        raise LogError("a picture is damaged and cannot be decoded")
+        raise LogError("a picture is damaged and cannot be decoded", COPY_AGAIN)
     if pixels.dtype not in (np.uint8, np.uint16):
         raise LogError(f"a picture holds {pixels.dtype} numbers; save it with 8 or 16 bits")
     return np.asarray(pixels)
@@ -127,8 +127,8 @@ def _stated_size(data: bytes) -> tuple[int, int]:
         if _is_deep_png(data):
             return image_size(data)
     except struct.error as error:
-        raise LogError("a picture is cut") from error
-    raise LogError("a picture is no JPEG, PNG, TIFF, BMP, WebP or PNM")
+        raise LogError("a picture is cut", COPY_AGAIN) from error
+    raise LogError("a picture is no JPEG, PNG, TIFF, BMP, WebP or PNM", "save it as one of these")
 
 
 def _tiff_size(data: bytes) -> tuple[int, int]:
@@ -142,7 +142,7 @@ def _tiff_size(data: bytes) -> tuple[int, int]:
     (at,) = struct.unpack_from(f"{order}I", data, 4)
     (count,) = struct.unpack_from(f"{order}H", data, at)
     if count > _MOST_TAGS:
-        raise LogError("a TIFF has too many tags")
+        raise LogError("a TIFF has too many tags", "save it again, as PNG")
     tags: dict[int, int] = {}
     for place in range(at + 2, at + 2 + 12 * count, 12):
         tag, kind, _ = struct.unpack_from(f"{order}HHI", data, place)
@@ -151,5 +151,5 @@ def _tiff_size(data: bytes) -> tuple[int, int]:
             tags[tag] = struct.unpack_from(order + form, data, place + 8)[0]
     tile = tags.get(_TIFF_TILE_WIDTH, 0) * tags.get(_TIFF_TILE_HEIGHT, 0)
     if tile > MAX_PIXELS or tags.get(_TIFF_SAMPLES, 1) > 4:
-        raise LogError("a TIFF has tiles or samples beyond any camera's")
+        raise LogError("a TIFF has tiles or samples beyond any camera's", "save it again, as PNG")
     return tags.get(_TIFF_WIDTH, 0), tags.get(_TIFF_HEIGHT, 0)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame
-from tunenet_logs.errors import LogError
+from tunenet_logs.errors import COPY_AGAIN, LogError
 from tunenet_logs.formats.exports.pictures.picture_bytes import depth_of, frame_of
 from tunenet_logs.formats.exports.pictures.picture_series import (
     MOST_PICTURES,
@@ -143,6 +143,7 @@ def _frames(
             most = _FREE_PIXELS + paid if store.most_pixels is None else store.most_pixels
             if pixels > most:
                 raise LogError(
-                    f"{store.path}: its pictures claim far more pixels than their size holds"
+                    f"{store.path}: its pictures claim far more pixels than their size holds",
+                    COPY_AGAIN,
                 )
             yield frame

@@ -11,7 +11,7 @@ from itertools import islice
 from pathlib import Path, PurePosixPath
 
 from tunenet_logs.episode import Episode
-from tunenet_logs.errors import LogError
+from tunenet_logs.errors import CHECK_DISK, LogError
 from tunenet_logs.formats.exports.pictures.picture_bytes import MOST_BYTES
 from tunenet_logs.formats.exports.pictures.picture_film import FEWEST, PictureStore, Read, film_of
 from tunenet_logs.formats.exports.pictures.picture_series import MOST_PICTURES, SUFFIXES
@@ -67,10 +67,10 @@ def _bytes_of(folder: Path, name: str) -> bytes:
         number = os.open(folder / name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
         with open(number, "rb") as file:
             if not stat.S_ISREG(os.fstat(number).st_mode):
-                raise LogError(f"{name} is no regular file")
+                raise LogError(f"{name} is no regular file", "copy it to one first")
             data = file.read(MOST_BYTES + 1)
     except OSError as error:
-        raise LogError(f"{name} cannot be read ({error.strerror})") from error
+        raise LogError(f"{name} cannot be read ({error.strerror})", CHECK_DISK) from error
     if len(data) > MOST_BYTES:
-        raise LogError(f"{name} is over the limit of {MOST_BYTES} bytes")
+        raise LogError(f"{name} is over the limit of {MOST_BYTES} bytes", "save smaller pictures")
     return data

@@ -1,0 +1,27 @@
+"""What to do at the next drop, where a recording shows none that can be used."""
+
+_NEXT = "at the next drop:"
+
+GOOD_DROP = (
+    f"{_NEXT} let the ball fall from rest, from 0.3 to 2 m, onto a level, hard floor, and record "
+    "from before it falls, all bounces in view, until it lies still (docs/camera.md)"
+)
+"""How a good drop looks: for recordings in which there is nothing like one."""
+
+LONGER = f"{_NEXT} record until the ball lies still, all bounces in view"
+
+FILM_MORE = (
+    f"{_NEXT} film fall and bounces at 60 pictures a second or more, all in view, until the ball "
+    "lies still (docs/camera.md)"
+)
+
+LET_GO = f"{_NEXT} let go of the ball at rest, above the floor, and touch it no more"
+
+DENSER = (
+    f"{_NEXT} record at a higher rate, 60 samples a second or more, from before it falls until it "
+    "lies still"
+)
+
+RIGHT_LENGTHS = "name the unit of the lengths with --length-unit m, cm, mm, in or ft"
+
+RIGHT_TIMES = "give the times of impacts in seconds, those of one ball alone (--start, --end)"
