@@ -180,7 +180,8 @@ class _Before:
         if row is None or not names:
             place = next(iter(self._said.values()))
             raise ValueError(
-                f"has no column {place[:60]!r} in its first {_MOST_BEFORE} lines; name one that it has"
+                f"has no column {place[:60]!r} in its first {_MOST_BEFORE} lines; "
+                "name one that it has"
             )
         known = names if any(names) else [f"column {at}" for at in range(1, len(names) + 1)]
         places, missing = places_of(self._said, known)
