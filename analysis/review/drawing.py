@@ -94,6 +94,32 @@ def plainly(value: float) -> str:
     return f"{float(f'{value:.2g}'):.10g}"
 
 
+_MOST_TICKS, _EDGE = 5, 0.04
+"""Steps between ticks that a low plot has room for, and room beyond its values, of their span."""
+
+
+def ticked(low: float, high: float) -> tuple[float, float]:
+    """Ends of a plot's axis that shows [low, high] and at least two ticks.
+
+    Rerun marks multiples of powers of ten alone, where there is room for them. An axis that is even
+    about 0 stays so.
+    """
+    span = high - low
+    step = 10.0 ** math.floor(math.log10(span))
+    if span > _MOST_TICKS * step:
+        step *= 10
+    below, above = math.floor(low / step) * step, math.ceil(high / step) * step
+    inside = math.floor(high / step) - math.ceil(low / step) + 1
+    if inside == 0 or (inside == 1 and low == -high):
+        low, high = below, above
+    elif inside == 1 and (below == low or 0 < above - high <= low - below):
+        high = above
+    elif inside == 1:
+        low = below
+    room = _EDGE * (high - low)
+    return low - room, high + room
+
+
 def screen_radius(points: float) -> Any:
     """A radius in points of the screen, whatever the zoom."""
     return [rr.Radius.ui_points(points)]

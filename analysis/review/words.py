@@ -17,7 +17,7 @@ from analysis.terminal_table import (
 )
 from tunenet_logs.terminal import one_line
 
-_SHOWN = 7
+_SHOWN = 5
 """Iterations in the table: the last ones."""
 
 _MOST_BOUNCES = 6

@@ -31,6 +31,7 @@ from analysis.review.drawing import (
     plainly,
     screen_radius,
     send_scalars,
+    ticked,
     ticks,
 )
 from analysis.terminal_table import markdown_table, quantity
@@ -43,12 +44,6 @@ _MM = 1000.0
 
 _USUAL, _HEADROOM = 0.98, 1.3
 """Quantile of the result's residuals that their axis must show, and room around it, as a factor."""
-
-_ROUND = (1.0, 2.0, 3.0)
-"""Digits of an axis's ends: Rerun writes multiples of powers of ten, and of more than six none."""
-
-_MARGIN = 1.15
-"""Room beyond an axis's ends, so that these have their figures too."""
 
 _LIMIT: Color = (190, 70, 70)
 _TABLE: Color = (70, 70, 78)
@@ -141,7 +136,7 @@ def _log_plots(stream: rr.RecordingStream, data: ReviewData) -> tuple[rrb.View, 
         origin="/height",
         name="height [m]: observed white, iterations cold to warm",
         axis_x=shown,
-        axis_y=rrb.ScalarAxis(range=(-0.05 * height_m, 1.1 * height_m)),
+        axis_y=rrb.ScalarAxis(range=ticked(0.0, 1.05 * height_m)),
         plot_legend=rrb.PlotLegend(visible=False),
     )
     limit_mm = _MM * MOST_EXCESS_PERCENT / 100 * height_m
@@ -151,7 +146,7 @@ def _log_plots(stream: rr.RecordingStream, data: ReviewData) -> tuple[rrb.View, 
         origin="/residual",
         name=f"simulated - observed [mm], red: ±{plainly(limit_mm)} is {MOST_EXCESS_PERCENT:g} %",
         axis_x=shown,
-        axis_y=rrb.ScalarAxis(range=(-_MARGIN * reach_mm, _MARGIN * reach_mm)),
+        axis_y=rrb.ScalarAxis(range=ticked(-reach_mm, reach_mm)),
         plot_legend=rrb.PlotLegend(visible=False),
     )
     return height_view, residual_view
@@ -168,14 +163,12 @@ def _log_limit(stream: rr.RecordingStream, data: ReviewData, limit_mm: float) ->
 
 
 def _reach_mm(data: ReviewData, limit_mm: float) -> float:
-    """Round, and as far as the limit and the result's residuals go: earlier iterates run off."""
+    """As far as the limit and the result's residuals go: earlier iterates run off."""
     last = data.residuals[-1]
     inside = (last.seconds >= data.release_s) & (last.seconds <= data.seen_s)
     off_mm = _MM * np.abs(last.heights_m[inside])
     usual_mm = float(np.quantile(off_mm, _USUAL)) if len(off_mm) else 0.0
-    wanted_mm = _HEADROOM * max(usual_mm, limit_mm)
-    power = 10.0 ** np.floor(np.log10(wanted_mm))
-    return float(next(one * power for one in (*_ROUND, 10.0) if one * power >= wanted_mm))
+    return _HEADROOM * max(usual_mm, limit_mm)
 
 
 def _log_scene(stream: rr.RecordingStream, data: ReviewData) -> rrb.View:

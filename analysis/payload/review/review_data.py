@@ -105,7 +105,7 @@ def payload_review_data(tuning: Tuning) -> PayloadReviewData:
     if fit is not None:
         # As the observed torques are drawn: with the arm's weight in them.
         effort_nm = (fit.predicted_nm + found.effort_nm - fit.effort_nm)[kept]
-        label = "fit, friction and offsets too"
+        label = "fit, with friction"
         fitted = TorqueCurve("fit", label, FITTED, _BOLD, fit.held.mass_kg, effort_nm)
     steps = tuning.trace.steps if tuning.trace else ()
     simulated: list[TorqueCurve] = []

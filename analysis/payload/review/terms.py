@@ -137,7 +137,7 @@ def _log_chart(
     reach = _HEADROOM * max(float(np.abs(ends).max()), TWO_SIDED * float(priors.max()), 1e-9)
     count = len(terms[0])
     x, marks = _joint_marks(count)
-    rows = [(-0.5 - value / (2 * reach), f"{value:g}") for value in ticks(-reach, reach, 4)]
+    rows = [(-0.5 - value / (2 * reach), f"{value:g}") for value in ticks(-reach, reach, 2)]
     log_grid(stream, sheet, WIDTH, rows, marks)
     half = _BAR * WIDTH / count
     boxes = rr.Boxes2D(
@@ -171,7 +171,7 @@ def _log_felt(stream: rr.RecordingStream, data: PayloadReviewData) -> None:
     felt = data.felt_nm_per_kg
     x, marks = _joint_marks(len(felt))
     top = _HEADROOM * max(float(felt.max()), 1e-9)
-    rows = [(-value / top, f"{value:g}") for value in ticks(0.0, top, 4)]
+    rows = [(-value / top, f"{value:g}") for value in ticks(0.0, top, 2)]
     log_grid(stream, "sheets/felt", WIDTH, rows, marks)
     half = _BAR * WIDTH / len(felt)
     slabs = [

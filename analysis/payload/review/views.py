@@ -36,6 +36,7 @@ from analysis.review.drawing import (
     screen_radius,
     send_scalars,
     span_of,
+    ticked,
     ticks,
 )
 from recorders.simulators.arm.payload import PAYLOAD_MASS
@@ -46,6 +47,12 @@ _MANY_SAMPLES = 150
 
 _USUAL_QUANTILE, _HEADROOM = 0.98, 1.3
 """Of the residuals: what the axis must show, so that no spike makes it useless; and room beyond."""
+
+_PLAYED = 4
+"""Joints that the first tab has room for, so that their axes have ticks; the others have a tab."""
+
+_COLUMNS = 3
+"""Of a tab of residuals: titles and ticks fit on a laptop's screen."""
 
 _LEAST_SPAN_NM, _LEAST_SHEET_NM, _LEAST_REACH_NM = 2.0, 0.5, 0.05
 """Of the axes of torques, of a payload's part of them, and of residuals (half of it): less would
@@ -65,11 +72,11 @@ _LEAST_SPAN_KG = 0.02
 
 
 def log_payload(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
-    """Send all that is drawn of it; three tabs: to play, to scrub, and what else is in it."""
+    """Send all that is drawn of it: to play, to scrub, and what else is in the torques."""
     data = payload_review_data(tuning)
     masses_kg = [curve.mass_kg for curve in data.simulated]
     iterates = Iterates(
-        parameter="mass",
+        parameter="payload mass",
         unit=PAYLOAD_MASS.unit,
         names=tuple(curve.name for curve in data.simulated),
         values=tuple(masses_kg),
@@ -83,23 +90,27 @@ def log_payload(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
     log_iterates(stream, iterates, float(data.seconds[0]))
     sheets = _log_sheets(stream, data)
     terms = log_terms(stream, data)
-    curves = rrb.Horizontal(rrb.Vertical(*torques), rrb.Vertical(*residuals))
     overlay = rrb.Horizontal(
-        rrb.Vertical(arm, iterates_view(iterates), row_shares=[5, 2.4]),
-        rrb.Vertical(key, curves, row_shares=[0.55, 8]),
+        arm,
+        rrb.Vertical(key, rrb.Grid(*torques[:_PLAYED], grid_columns=2), row_shares=[0.6, 8]),
         rrb.TextDocumentView(origin="/result", name="result"),
-        column_shares=[4, 5.8, 5],
+        column_shares=[3.6, 6, 4.6],
         name=f"overlay (timeline {LOG_TIME})",
     )
     step = rrb.TextDocumentView(origin="/step", name="iteration")
     scrub = rrb.Horizontal(
         rrb.Grid(*sheets, grid_columns=2 if len(sheets) > _ONE_COLUMN else 1),
         rrb.Vertical(step, iterates_view(iterates)),
-        column_shares=[5, 3],
+        column_shares=[5, 4],
         name=f"scrub (timeline {ITERATION})",
     )
     others = rrb.Grid(*terms, grid_columns=3, name="what else is in the torques")
-    return rrb.Tabs(overlay, scrub, others, active_tab=0)
+    name = f"what is left (timeline {LOG_TIME})"
+    tabs = [overlay, rrb.Grid(*residuals, grid_columns=_COLUMNS, name=name), scrub, others]
+    if len(torques) > _PLAYED:
+        name = f"other joints (timeline {LOG_TIME})"
+        tabs.insert(1, rrb.Grid(*torques[_PLAYED:], grid_columns=2, name=name))
+    return rrb.Tabs(*tabs, active_tab=0)
 
 
 def _log_torques(
@@ -134,33 +145,30 @@ def _log_torques(
         send_scalars(stream, f"{torque}/observed", data.seconds, observed)
         shown = np.concatenate([observed, best.effort_nm[:, joint]])
         low, high = float(shown.min()), float(shown.max())
-        half = max(1.1 * (high - low), _LEAST_SPAN_NM) / 2
-        felt = f"{data.felt_nm_per_kg[joint]:.2f} per kg" if data.used[joint] else "not used"
+        more = max(0.0, _LEAST_SPAN_NM - (high - low)) / 2
         reach = _HEADROOM * max(float(usual[joint]), least)
-        for views, entity, title, ends in (
-            (
-                torques,
-                torque,
-                f"{data.title(joint)}, {felt}",
-                ((low + high) / 2 - half, (low + high) / 2 + half),
-            ),
-            (residuals, residual, data.title(joint, "residual"), (-reach, reach)),
-        ):
-            views.append(
-                rrb.TimeSeriesView(
-                    origin=f"/{entity}",
-                    name=title,
-                    axis_y=rrb.ScalarAxis(range=ends),
-                    plot_legend=rrb.PlotLegend(visible=False),
-                )
-            )
+        unused = "" if data.used[joint] else ", not used"
+        title = data.title(joint, "torque") + unused
+        torques.append(_plot(torque, title, low - more, high + more))
+        title = data.title(joint, "simulated - observed")
+        residuals.append(_plot(residual, title, -reach, reach))
     return torques, residuals
+
+
+def _plot(entity: str, title: str, low: float, high: float) -> rrb.View:
+    """A plot whose axis shows these values and has ticks."""
+    return rrb.TimeSeriesView(
+        origin=f"/{entity}",
+        name=title,
+        axis_y=rrb.ScalarAxis(range=ticked(low, high)),
+        plot_legend=rrb.PlotLegend(visible=False),
+    )
 
 
 def _log_key(stream: rr.RecordingStream, data: PayloadReviewData) -> rrb.View:
     """A strip above the curves that says what they are, where it hides none of them."""
     entries = [("observed", [OBSERVED])]
-    entries.append(("rigid arm, k=0 to the result", [curve.color for curve in data.simulated]))
+    entries.append(("rigid arm, by iteration", [curve.color for curve in data.simulated]))
     if data.fitted is not None:
         entries.append((data.fitted.label, [data.fitted.color]))
     strips, colors, labels = [], [], []
@@ -246,7 +254,7 @@ def _log_sheet(
     def points(values: Array) -> Array:
         return np.column_stack([x, -(values - low) / reach])
 
-    rows = [(-(value - low) / reach, f"{value:g}") for value in ticks(low, low + reach, 4)]
+    rows = [(-(value - low) / reach, f"{value:g}") for value in ticks(low, low + reach, 3)]
     marks = [
         (float((second - start_s) / width_s * WIDTH), f"{second:g} s")
         for second in ticks(start_s, data.seconds[-1])
