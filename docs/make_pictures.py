@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import os
 import re
+import signal
 import socket
 import subprocess
 import sys
@@ -99,7 +100,8 @@ def screenshot(review: Path, moment: float | None) -> bytes:
     port = _free_port()
     words = [str(BIN / "rerun"), str(review), "--headless", "--port", str(port)]
     words += ["--window-size", "{}x{}".format(*SIZE_PX), "--hide-welcome-screen"]
-    viewer = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    nowhere = subprocess.DEVNULL
+    viewer = subprocess.Popen(words, stdout=nowhere, stderr=nowhere, start_new_session=True)
     began_s = time.monotonic()
     try:
         before = b""
@@ -116,7 +118,7 @@ def screenshot(review: Path, moment: float | None) -> bytes:
             before = now
         raise TimeoutError(f"{review}: the viewer shows no still picture in {_LONGEST_S:.0f} s")
     finally:
-        viewer.terminate()
+        os.killpg(viewer.pid, signal.SIGTERM)  # the command, and the viewer that it started
         viewer.wait()
 
 
