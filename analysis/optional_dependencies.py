@@ -1,4 +1,4 @@
-"""Libraries that only training and the experiments need."""
+"""Libraries that only training, reports and the experiments need."""
 
 from __future__ import annotations
 

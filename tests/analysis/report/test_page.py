@@ -194,9 +194,7 @@ def test_a_campaign_has_its_rates_balls_and_attempts(
     [
         "videos/red_ball_drop_120fps.mp4",
         "labs/motive_basketball_10.csv",
-        "labs/Ball_drops_data.csv",
         "ros1/jaco2_no_effort.bag",
-        "ros1/jaco_names_recorded_by_rosbag.bag",
     ],
 )
 def test_logs_that_others_made_have_a_page(
