@@ -20,7 +20,7 @@ from tunenet_logs.terminal import one_line
 
 Columns = Mapping[str, Sequence[Any]]
 
-_ORDER = "log"
+_ORDER = "as_tuned"
 """The timeline of the logs as they were tuned."""
 
 _COLOURS = {"ok": (80, 200, 120), "suspect": (240, 170, 50), "rejected": (230, 80, 80)}
@@ -49,19 +49,19 @@ def write_overview(columns: Columns, path: Path) -> None:
     """
     verdicts = np.array([str(one) for one in columns["verdict"]])
     logs = [one_line(Path(str(one)).name) for one in columns["log"]]
-    names = _estimates(columns)[:_MOST_SHOWN]
-    values = {name: _numbers(columns[name]) for name in names}
+    values = {name: _numbers(columns[name]) for name in _estimates(columns)}
+    names = [name for name, its in values.items() if np.isfinite(its).any()][:_MOST_SHOWN]
+    values = {name: values[name] for name in names}
     orders = _orders(columns, values, len(logs))
     outliers = {name: _unlike(values[name]) for name in names}
     recording = rr.RecordingStream("tunenet-logs overview", recording_id="overview")
     memory = recording.memory_recording()  # its own file sink waits for ever on a full disk
-    recording.send_blueprint(_blueprint(names, columns))
     for name in names:
         _draw(recording, name, columns, verdicts, outliers[name], orders)
-    if "fit_excess_percent" in columns:
-        excess = _numbers(columns["fit_excess_percent"])
-        known = np.isfinite(excess)
-        _points(recording, "fit/excess_percent", excess, known, _END, orders)
+    excess = _numbers(columns.get("fit_excess_percent", ()))
+    is_known = np.isfinite(excess)
+    _points(recording, "fit/excess_percent", excess, is_known, _END, orders)
+    recording.send_blueprint(_blueprint(names, has_fit=bool(is_known.any())))
     _table(recording, columns, names, logs, orders)
     text = _words(logs, columns, verdicts, values, outliers)
     document = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
@@ -196,20 +196,14 @@ def _words(
     return "\n".join(lines)
 
 
-def _blueprint(names: Sequence[str], columns: Columns) -> rrb.Blueprint:
+def _blueprint(names: Sequence[str], *, has_fit: bool) -> rrb.Blueprint:
     plots: list[Any] = [rrb.TimeSeriesView(origin=name, name=name) for name in names]
-    if "fit_excess_percent" in columns:
+    if has_fit:
         plots.append(rrb.TimeSeriesView(origin="fit", name="misfit beyond the noise [%]"))
+    table = rrb.DataframeView(origin="table", name="table: in the order of the timeline")
     return rrb.Blueprint(
         rrb.Horizontal(
-            rrb.Vertical(
-                rrb.Tabs(*plots) if len(plots) > 1 else rrb.Vertical(*plots),
-                rrb.DataframeView(
-                    origin="table",
-                    name="table",
-                    query=rrb.archetypes.DataframeQuery(timeline=_ORDER),
-                ),
-            ),
+            rrb.Vertical(*([rrb.Tabs(*plots)] if plots else []), table),
             rrb.TextDocumentView(origin="summary", name="summary"),
             column_shares=[3, 1],
         ),

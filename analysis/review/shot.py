@@ -14,7 +14,16 @@ import rerun.blueprint as rrb
 
 from analysis.planning.plan import Plan
 from analysis.planning.plan_report import ball_lines, best_lines
-from analysis.review.drawing import GROUND, WIDTH, Color, chart_view, log_grid, screen_radius, ticks
+from analysis.review.drawing import (
+    GROUND,
+    MUTED,
+    WIDTH,
+    Color,
+    chart_view,
+    log_grid,
+    screen_radius,
+    ticks,
+)
 from recorders.simulators.shot.flight import STEP_S
 from tunenet_logs.arrays import Array
 from tunenet_logs.terminal import one_line
@@ -143,6 +152,15 @@ def _log_misses(stream: rr.RecordingStream, plan: Plan) -> None:
         draw_order=20.0,
     )
     stream.log("sheets/miss/shots", dots, static=True)
+    if not len(known):
+        said = rr.Points2D(
+            [[WIDTH / 2, -0.75]],
+            labels=["no ball comes down at the height of the hoop"],
+            colors=[MUTED],
+            radii=screen_radius(0.1),
+            show_labels=True,
+        )
+        stream.log("sheets/miss/words", said, static=True)
 
 
 def _color(plan: Plan, index: int) -> Color:
