@@ -1,7 +1,7 @@
 """All logs of a ledger on one page: estimates with their intervals, what is unlike the rest, why.
 
 Each timeline is an order of the logs: as they were tuned, by an estimate, by its doubt. Choosing
-one sorts the table and the curves.
+one sorts the curves; the table has a choice of its own, in the selection panel.
 """
 
 from __future__ import annotations
@@ -22,11 +22,26 @@ from tunenet_logs.terminal import one_line
 
 Columns = Mapping[str, Sequence[Any]]
 
-_ORDER = "log"
+_ORDER = "as_tuned"
 """The timeline of the logs as they were tuned."""
 
 _COLOURS = {"ok": (80, 200, 120), "suspect": (240, 170, 50), "rejected": (230, 80, 80)}
+_KEY = "green ok, amber suspect, red rejected, grey 95 %, pink unlike the others"
 _OUTLIER, _END = (255, 60, 200), (130, 130, 150)
+
+_TABLES = ("table/log", "table/numbers")
+"""Entities of the table's columns, from left to right."""
+
+_LOG_HEAD = "name_of_the_log_file"
+_TOLD_HEADS = {
+    "verdict": "verdict_of_it",
+    "reason": "reason_of_the_verdict",
+    "error": "error_in_short",
+}
+"""Rerun makes a column as wide as its head."""
+
+_DECIMALS = 5
+"""Of figures in the table: more do not fit."""
 
 _FAR = 5.0
 """Robust standard deviations from the median: such an estimate is pointed at."""
@@ -51,20 +66,20 @@ def write_overview(columns: Columns, path: Path) -> None:
     """
     verdicts = np.array([str(one) for one in columns["verdict"]])
     logs = [one_line(Path(str(one)).name) for one in columns["log"]]
-    names = _estimates(columns)[:_MOST_SHOWN]
-    values = {name: _numbers(columns[name]) for name in names}
+    values = {name: _numbers(columns[name]) for name in _estimates(columns)}
+    names = [name for name, its in values.items() if np.isfinite(its).any()][:_MOST_SHOWN]
+    values = {name: values[name] for name in names}
     orders = _orders(columns, values, len(logs))
     outliers = {name: _unlike(values[name]) for name in names}
     shown = "\n".join((*names, *logs, os.fspath(path))).encode(errors="replace")
     recording = rr.RecordingStream(application_id("overview", shown), recording_id="overview")
     memory = recording.memory_recording()  # its own file sink waits for ever on a full disk
-    recording.send_blueprint(_blueprint(names, columns))
     for name in names:
         _draw(recording, name, columns, verdicts, outliers[name], orders)
-    if "fit_excess_percent" in columns:
-        excess = _numbers(columns["fit_excess_percent"])
-        known = np.isfinite(excess)
-        _points(recording, "fit/excess_percent", excess, known, _END, orders)
+    excess = _numbers(columns.get("fit_excess_percent", ()))
+    is_known = np.isfinite(excess)
+    _points(recording, "fit/excess_percent", excess, is_known, _END, orders)
+    recording.send_blueprint(_blueprint(names, has_fit=bool(is_known.any())))
     _table(recording, columns, names, logs, orders)
     text = _words(logs, columns, verdicts, values, outliers)
     document = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
@@ -155,19 +170,22 @@ def _table(
     logs: Sequence[str],
     orders: Mapping[str, NDArray[Any]],
 ) -> None:
-    """A row a log, in the order of the timeline that is chosen."""
-    every = np.ones(len(logs), bool)
-    cells: dict[str, Any] = {"log": list(logs)}
-    for name in ("verdict", "reason", "error"):
+    """A row a log: which it is, then its figures."""
+    times = _times(orders, np.ones(len(logs), bool))
+    told: dict[str, Any] = {_LOG_HEAD: list(logs)}
+    for name, head in _TOLD_HEADS.items():
         if name in columns:
-            cells[name] = ["" if one is None else one_line(one) for one in columns[name]]
-    for name in (*names, "fit_excess_percent", "seconds"):
-        if name in columns:
-            cells[name] = _numbers(columns[name])
-    for name in names:
-        for end in ("low", "high"):
-            cells[f"{name}_{end}"] = _numbers(columns[f"{name}_{end}"])
-    recording.send_columns("table", _times(orders, every), rr.AnyValues.columns(**cells))
+            told[head] = ["" if one is None else one_line(one) for one in columns[name]]
+    recording.send_columns(_TABLES[0], times, rr.AnyValues.columns(**told))
+    ends = [f"{name}_{end}" for name in names for end in ("low", "high")]
+    wanted = (*names, *ends, "fit_excess_percent", "seconds")
+    figures: dict[str, Any] = {
+        f"{name}_value" if name in names else name: np.round(_numbers(columns[name]), _DECIMALS)
+        for name in wanted
+        if name in columns
+    }
+    if figures:
+        recording.send_columns(_TABLES[1], times, rr.AnyValues.columns(**figures))
 
 
 def _words(
@@ -179,7 +197,7 @@ def _words(
 ) -> str:
     """The page's text: counts, what is unlike the others, where doubt is largest."""
     counts = ", ".join(f"{_count(verdicts, one)} {one}" for one in _COLOURS)
-    lines = [f"# {len(logs)} logs", "", f"{counts}."]
+    lines = [f"# {len(logs)} logs", "", f"{counts}.", "", f"Curves: {_KEY}."]
     for name, its in values.items():
         known = its[np.isfinite(its)]
         if not len(known):
@@ -195,24 +213,32 @@ def _words(
         widest = [at for at in np.argsort(-widths)[:_WIDE] if np.isfinite(widths[at])]
         shown = ", ".join(f"`{logs[at]}` ± {widths[at] / 2:.2g}" for at in widest)
         lines += ["", f"widest intervals: {shown}"] if shown else []
-    lines += ["", "Choose a timeline below to sort the logs by it."]
+    lines += [
+        "",
+        "Choose a timeline below to sort the curves by it; the table's is in the selection panel.",
+    ]
     return "\n".join(lines)
 
 
-def _blueprint(names: Sequence[str], columns: Columns) -> rrb.Blueprint:
-    plots: list[Any] = [rrb.TimeSeriesView(origin=name, name=name) for name in names]
-    if "fit_excess_percent" in columns:
-        plots.append(rrb.TimeSeriesView(origin="fit", name="misfit beyond the noise [%]"))
+def _blueprint(names: Sequence[str], *, has_fit: bool) -> rrb.Blueprint:
+    legend = rrb.PlotLegend(visible=False)  # it would hide what is unlike the others
+    plots: list[Any] = [
+        rrb.TimeSeriesView(origin=name, name=name, plot_legend=legend) for name in names
+    ]
+    if has_fit:
+        plots.append(
+            rrb.TimeSeriesView(origin="fit", name="misfit beyond the noise [%]", plot_legend=legend)
+        )
+    table = rrb.DataframeView(
+        origin="table",
+        name="table: the logs in the order they were tuned",
+        query=rrb.archetypes.DataframeQuery(
+            timeline=_ORDER, entity_order=[f"/{entity}" for entity in _TABLES]
+        ),
+    )
     return rrb.Blueprint(
         rrb.Horizontal(
-            rrb.Vertical(
-                rrb.Tabs(*plots) if len(plots) > 1 else rrb.Vertical(*plots),
-                rrb.DataframeView(
-                    origin="table",
-                    name="table",
-                    query=rrb.archetypes.DataframeQuery(timeline=_ORDER),
-                ),
-            ),
+            rrb.Vertical(*([rrb.Tabs(*plots)] if plots else []), table),
             rrb.TextDocumentView(origin="summary", name="summary"),
             column_shares=[3, 1],
         ),

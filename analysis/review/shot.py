@@ -16,6 +16,7 @@ from analysis.planning.plan import Plan
 from analysis.planning.plan_report import ball_lines, best_lines
 from analysis.review.drawing import (
     GROUND,
+    MUTED,
     WIDTH,
     Color,
     application_id,
@@ -152,6 +153,15 @@ def _log_misses(stream: rr.RecordingStream, plan: Plan) -> None:
         draw_order=20.0,
     )
     stream.log("sheets/miss/shots", dots, static=True)
+    if not len(known):
+        said = rr.Points2D(
+            [[WIDTH / 2, -0.75]],
+            labels=["no ball comes down at the height of the hoop"],
+            colors=[MUTED],
+            radii=screen_radius(0.1),
+            show_labels=True,
+        )
+        stream.log("sheets/miss/words", said, static=True)
 
 
 def _color(plan: Plan, index: int) -> Color:

@@ -133,6 +133,15 @@ def log_restitutions(stream: rr.RecordingStream, balls: Sequence[BallRestitution
     lines = rr.LineStrips2D(bars, colors=[_TUNED], radii=screen_radius(0.7), draw_order=15.0)
     stream.log(f"{sheet}/intervals", lines, static=True)
     _log_dots(stream, f"{sheet}/values", dots, _TUNED, 2.2)
+    if not balls:
+        said = rr.Points2D(
+            [[_WIDTH / 2, -0.5]],
+            labels=["no drop was tuned"],
+            colors=[MUTED],
+            radii=screen_radius(0.1),
+            show_labels=True,
+        )
+        stream.log(f"{sheet}/words", said, static=True)
     return _view("spreads", "restitution by ball: each attempt with its 95 %, band: mean ± sd")
 
 
