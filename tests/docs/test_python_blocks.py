@@ -1,4 +1,4 @@
-"""The Python that a document shows runs as it stands there, on files under the names that it uses."""
+"""The Python that a document shows runs as it stands there, on files under its names."""
 
 from __future__ import annotations
 
