@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from analysis.statistics import TWO_SIDED
 from tunenet_logs.episode import Episode
 
 Verdict = Literal["ok", "suspect", "rejected"]
@@ -44,13 +45,43 @@ class CrossCheck:
     """A second estimate that shares nothing with the first but the log.
 
     Attributes:
+        agrees: whether it is less than `tolerance` from the estimate.
+        tolerance: what was allowed between the two, by the second one's noise and what systematic
+            errors take off it in a good recording; None in a record of before that was kept.
+        noise95: half the 95 % interval that its noise alone leaves it; None where unknown.
         advice: what to do where the two disagree, as one short sentence.
     """
 
     method: str
     value: float
     agrees: bool
+    tolerance: float | None = None
+    noise95: float | None = None
     advice: str = ""
+
+    @classmethod
+    def judged(
+        cls,
+        method: str,
+        value: float,
+        estimate: float,
+        tolerance: float,
+        *,
+        sd: float | None,
+        advice: str,
+    ) -> CrossCheck:
+        """A second estimate beside the first.
+
+        Args:
+            method: in words.
+            value: of the second.
+            estimate: the first.
+            tolerance: what may be between them.
+            sd: standard deviation of the second by its noise alone; None where it is not known.
+            advice: see `CrossCheck`.
+        """
+        agrees = bool(abs(value - estimate) < tolerance)
+        return cls(method, value, agrees, tolerance, None if sd is None else TWO_SIDED * sd, advice)
 
 
 def log_checks(episode: Episode) -> tuple[Check, ...]:

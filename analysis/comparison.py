@@ -19,15 +19,13 @@ if TYPE_CHECKING:
 MOST_LOGS = 200
 """Compared at once: with n logs there are n²/2 pairs, and nobody reads more."""
 
-_AXES = ("x", "y", "z")
-
 
 @dataclass(frozen=True)
 class ComparedQuantity:
     """One parameter, or one component of it, of the logs that have it.
 
     Attributes:
-        name: the parameter's, with the component for one of several numbers: "payload_com x".
+        name: the parameter's, with the component for one of several numbers: "payload_com_x".
         unit: "1" where it has none.
         values: one a log that has it, in the logs' order.
         tests: of each pair of values with intervals.
@@ -200,18 +198,11 @@ def _values(label: str, record: Record) -> list[tuple[tuple[str, str], ComparedV
     sha256 = record.provenance.log_sha256 if record.provenance else ""
     found: list[tuple[tuple[str, str], ComparedValue]] = []
     for known in record.estimates:
-        if not isinstance(known.value, tuple):
-            ends: Any = known.interval95
-            value = ComparedValue(label, known.value, ends, record.verdict, sha256)
-            if known.name == "restitution" and record.physical:
+        for part in known.components:
+            value = ComparedValue(label, part.value, part.interval95, record.verdict, sha256)
+            if part.name == "restitution" and record.physical:
                 value = restitution_value(value, record)
-            found.append(((known.name, known.unit), value))
-            continue
-        intervals: Any = known.interval95 or [None] * len(known.value)
-        for index, (part, ends) in enumerate(zip(known.value, intervals, strict=False)):
-            axis = _AXES[index] if len(known.value) == len(_AXES) else str(index + 1)
-            value = ComparedValue(label, part, ends, record.verdict, sha256)
-            found.append(((f"{known.name} {axis}", known.unit), value))
+            found.append(((part.name, known.unit), value))
     return found
 
 

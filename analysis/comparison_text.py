@@ -20,8 +20,11 @@ _MOST_NAMED = 40
 _WIDTH = 100
 """Characters of a line of prose."""
 
-_NAME = 40
-"""Characters of a log's name in a table."""
+_NAME = 48
+"""Characters of a cell of a table: a value with its interval, or a log's name."""
+
+_LARGEST = 1e9
+"""Of a number that is written out."""
 
 _SMALLEST = 1e-4
 """Of a probability: nobody needs to know how far under it one is."""
@@ -52,7 +55,7 @@ def _group(group: ComparedGroup, numbers: Mapping[str, str], verdicts: Mapping[s
     rows: dict[str, dict[str, str]] = {
         label: {
             "": numbers[label],
-            "log": short_name(label, _NAME),
+            "log": label,
             "verdict": verdicts[label],
         }
         for label in group.labels
@@ -75,7 +78,8 @@ def _group(group: ComparedGroup, numbers: Mapping[str, str], verdicts: Mapping[s
 
 
 def _table(heads: Sequence[str], rows: Sequence[Mapping[str, str]]) -> list[str]:
-    cells = [list(heads), *([row.get(head, "-") for head in heads] for row in rows)]
+    shown = [list(heads), *([row.get(head, "-") for head in heads] for row in rows)]
+    cells = [[short_name(cell, _NAME) for cell in row] for row in shown]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     return [
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
@@ -93,29 +97,58 @@ def value_words(value: ComparedValue) -> str:
 
 def number_words(value: float) -> str:
     """Four decimals, and no minus before a zero."""
-    return f"{round(value, 4) + 0.0:.4f}"
+    return f"{value:.4g}" if abs(value) > _LARGEST else f"{round(value, 4) + 0.0:.4f}"
+
+
+def summary_lines(one: ComparedQuantity, numbers: Mapping[str, str]) -> list[str]:
+    """What the tests of a quantity say, in a sentence, and what could not be tested."""
+    name = one_line(one.name)
+    bare = [numbers[value.label] for value in one.values if value.interval95 is None]
+    lines = [f"{name}: no interval, not compared: {', '.join(bare)}"] if bare else []
+    tests = _tested(one)
+    if tests:
+        lines.append(f"{name}: {_summary(tests)}")
+    elif not bare:
+        lines.append(f"{name}: nothing to compare with")
+    return lines
+
+
+def _tested(one: ComparedQuantity) -> list[PairTest]:
+    return [test for test in one.tests if test.probability is not None]
+
+
+def named_lines(one: ComparedQuantity, numbers: Mapping[str, str]) -> list[str]:
+    """Which pairs differ and which do not, by their numbers; nothing where all are alike."""
+    tests = _tested(one)
+    different = [_pair(test, numbers) for test in tests if test.differs]
+    alike = [_pair(test, numbers) for test in tests if not test.differs]
+    if not (different and alike):
+        return []
+    return [f"differ: {_some(different)}", f"not told apart: {_some(alike)}"]
+
+
+def caution_lines(one: ComparedQuantity, numbers: Mapping[str, str]) -> list[str]:
+    """What to bear in mind of some pairs, each of it once."""
+    pairs: dict[str, list[str]] = {}
+    for test in one.tests:
+        if test.caution:
+            pairs.setdefault(test.caution, []).append(_pair(test, numbers))
+    found = [f"{_some(some)}: {one_line(caution)}" for caution, some in pairs.items()]
+    more = [f"{len(found) - _MOST_PAIRS} more cautions"] if len(found) > _MOST_PAIRS else []
+    return [*found[:_MOST_PAIRS], *more]
+
+
+def _some(pairs: Sequence[str]) -> str:
+    more = f" and {len(pairs) - _MOST_NAMED} more" if len(pairs) > _MOST_NAMED else ""
+    return ", ".join(pairs[:_MOST_NAMED]) + more
 
 
 def quantity_lines(one: ComparedQuantity, numbers: Mapping[str, str]) -> list[str]:
-    """What the tests of a quantity say: in a sentence, then pair by pair."""
-    name = one.name
-    bare = [numbers[value.label] for value in one.values if value.interval95 is None]
-    lines = [f"{name}: no interval, not compared: {', '.join(bare)}"] if bare else []
-    tests = [test for test in one.tests if test.probability is not None]
-    if not tests:
-        if not bare:
-            lines.append(f"{name}: nothing to compare with")
-    else:
-        lines.append(f"{name}: {_summary(tests)}")
+    """The same, then pair by pair; of many pairs their numbers alone."""
+    lines = [*named_lines(one, numbers), *caution_lines(one, numbers)]
     if len(one.tests) <= _MOST_PAIRS:
-        return [*lines, *(f"  {test_words(test, numbers)}" for test in one.tests)]
-    different = [_pair(test, numbers) for test in one.tests if test.differs]
-    alike = [_pair(test, numbers) for test in tests if not test.differs]
-    for words, pairs in (("differ", different), ("not told apart", alike)):
-        more = f" and {len(pairs) - _MOST_NAMED} more" if len(pairs) > _MOST_NAMED else ""
-        if pairs and (words != "differ" or alike):
-            lines.append(f"  {words}: {', '.join(pairs[:_MOST_NAMED])}{more}")
-    return lines
+        lines = [test_words(test, numbers) for test in one.tests]
+    return [*summary_lines(one, numbers), *(f"  {line}" for line in lines)]
 
 
 def _pair(test: PairTest, numbers: Mapping[str, str]) -> str:
@@ -133,17 +166,14 @@ def _summary(tests: Sequence[PairTest]) -> str:
 
 def test_words(test: PairTest, numbers: Mapping[str, str]) -> str:
     """One test in a line."""
-    pair = _pair(test, numbers)
-    ends = interval_words(*test.interval95)
-    speed = "" if test.speed_m_s is None else f", at {test.speed_m_s:.2f} m/s"
+    difference = f"{_pair(test, numbers)}: {round(test.difference, 4) + 0.0:+.4f}"
     caution = f"; {one_line(test.caution)}" if test.caution else ""
     if test.corrected is None:
-        return f"{pair}: {round(test.difference, 4) + 0.0:+.4f}{caution}"
+        return difference + caution
+    speed = "" if test.speed_m_s is None else f", at {test.speed_m_s:.2f} m/s"
+    ends, chance = interval_words(*test.interval95), probability_words(test.corrected)
     said = "differs" if test.differs else "not told apart"
-    return (
-        f"{pair}: {round(test.difference, 4) + 0.0:+.4f} ({ends}){speed}, {probability_words(test.corrected)}: "
-        f"{said}{caution}"
-    )
+    return f"{difference} ({ends}){speed}, {chance}: {said}{caution}"
 
 
 def probability_words(probability: float) -> str:

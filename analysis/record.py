@@ -140,6 +140,36 @@ class Estimate:
     value: float | tuple[float, ...]
     interval95: Interval | tuple[Interval, ...] | None
 
+    @property
+    def components(self) -> tuple[Component, ...]:
+        """Each of its numbers by itself: `payload_com_x`, or `NAME_1` where they are no axes."""
+        names = [self.name]
+        values = self.value if isinstance(self.value, tuple) else (self.value,)
+        if isinstance(self.value, tuple):
+            axes = _AXES if len(values) == len(_AXES) else range(1, len(values) + 1)
+            names = [f"{self.name}_{axis}" for axis in axes]
+        intervals: list[Interval | None] = [None] * len(values)
+        if self.interval95 is not None:
+            ends = np.reshape(self.interval95, (-1, 2)).tolist()
+            intervals = [(low, high) for low, high in ends]
+        return tuple(map(Component, names, values, intervals))
+
+
+@dataclass(frozen=True)
+class Component:
+    """One number of an estimate.
+
+    Attributes:
+        interval95: None where none is honest.
+    """
+
+    name: str
+    value: float
+    interval95: Interval | None
+
+
+_AXES = ("x", "y", "z")
+
 
 @dataclass(frozen=True)
 class Rebound:
@@ -208,24 +238,19 @@ class Record:
         return next((known for known in self.estimates if known.name == name), None)
 
     def to_frame(self) -> pd.DataFrame:
-        """The values as a table: a row for each number, `payload_com[0]` of several.
+        """The values as a table: a row for each number, `payload_com_x` and more of several.
 
-        Index `parameter`; columns `value`, `low95`, `high95` (NaN where no interval is honest) and
-        `unit`. No rows for a rejected log.
+        Index `parameter`; columns `value`, `low`, `high` (ends of the 95 % interval; NaN where none
+        is honest) and `unit`. No rows for a rejected log.
         """
         import pandas as pd
 
-        rows: list[tuple[str, float, float, float, str]] = []
-        for known in self.estimates:
-            is_single = isinstance(known.value, float)
-            values = np.atleast_1d(known.value)
-            ends = np.full((len(values), 2), np.nan)
-            if known.interval95 is not None:
-                ends = np.reshape(known.interval95, (-1, 2))
-            for at, (value, (low, high)) in enumerate(zip(values, ends, strict=True)):
-                name = known.name if is_single else f"{known.name}[{at}]"
-                rows.append((name, float(value), float(low), float(high), known.unit))
-        columns = ["parameter", "value", "low95", "high95", "unit"]
+        rows = [
+            (part.name, part.value, *(part.interval95 or (np.nan, np.nan)), known.unit)
+            for known in self.estimates
+            for part in known.components
+        ]
+        columns = ["parameter", "value", "low", "high", "unit"]
         return pd.DataFrame(rows, columns=columns).set_index("parameter")
 
 

@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -42,11 +43,11 @@ _FARTHEST = 1e6
 """[m] and [s] from zero: no curve of an experiment goes farther."""
 
 
-def to_json(record: Record) -> str:
-    """The record as one JSON object."""
+def record_fields(record: Record) -> dict[str, Any]:
+    """What the record's JSON holds, but the curves."""
     last = len(record.iterations) - 1
     cross, motion = record.cross_check, record.motion
-    fields: dict[str, Any] = {
+    return {
         "log": record.log,
         "task": record.task,
         "verdict": record.verdict,
@@ -76,7 +77,7 @@ def to_json(record: Record) -> str:
         "untold": motion.untold,
         "units": motion.units and _units(motion.units),
         "cross_check": cross
-        and {"method": cross.method, "value": cross.value, "agrees": cross.agrees},
+        and {name: value for name, value in asdict(cross).items() if name != "advice"},
         "checks": [
             {
                 "name": check.name,
@@ -95,6 +96,11 @@ def to_json(record: Record) -> str:
         "seconds": {name: round(value, 4) for name, value in record.seconds.items()},
         "provenance": record.provenance and _provenance_fields(record.provenance),
     }
+
+
+def to_json(record: Record) -> str:
+    """The record as one JSON object."""
+    fields = record_fields(record)
     text = json.dumps(fields, indent=1, ensure_ascii=False, allow_nan=False)
     if record.motion.curves is not None:  # on one line: it is for programs
         curves = {
@@ -210,7 +216,12 @@ def record_from(fields: Mapping[str, Any]) -> Record:
         is_fitted=bool(iterations and iterations[-1].get("refined")),
         rebounds=tuple(_rebound(bounce) for bounce in fields.get("bounces") or ()),
         cross_check=cross
-        and CrossCheck(str(cross["method"]), _number("value", cross["value"]), cross["agrees"]),
+        and CrossCheck(
+            str(cross["method"]),
+            _number("value", cross["value"]),
+            cross["agrees"],
+            *(_optional(partial(_number, one), cross.get(one)) for one in ("tolerance", "noise95")),
+        ),
         checks=tuple(
             Check(
                 str(check["name"]),

@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from analysis.record_json import read_record
+from tunenet_logs.commandline import is_stdout
 from tunenet_logs.errors import LogError, UsageError
+from tunenet_logs.json_lines import json_line
+from tunenet_logs.progress import told
 from tunenet_logs.regular_file import open_regular
 
 _PARTIAL = ".partial"
 
 _HEADER_BYTES = 4096
 """Of a recording for Rerun, in which its names stand."""
+
+_BLOCK_BYTES = 2**20
 
 _OWN_DIGITS = 32
 """Of a log's SHA-256 in the name of its review: enough to tell any two logs apart."""
@@ -60,6 +66,19 @@ def _partial(path: Path) -> Path:
     return path.with_name(f"{path.name}.{os.getpid()}{_PARTIAL}")
 
 
+def write_json(path: Path, text: str) -> None:
+    """Write a JSON to a file as it is or, for `-`, to standard output as one line of ASCII.
+
+    Raises:
+        OSError: it cannot be written; it names `path`.
+    """
+    if is_stdout(path):
+        print(json_line(json.loads(text)), flush=True)
+        return
+    with replacing(path) as partial:
+        partial.write_text(text, "utf-8")
+
+
 def check_writable(path: Path, option: str) -> None:
     """Find out before hours of work whether their result can be written.
 
@@ -90,7 +109,12 @@ def log_sha256(log: Path) -> str:
     if not log.is_dir():
         try:
             with open_regular(log) as file:
-                return hashlib.file_digest(file, "sha256").hexdigest()
+                state = hashlib.sha256()
+                blocks = iter(lambda: file.read(_BLOCK_BYTES), b"")
+                count = os.fstat(file.fileno()).st_size // _BLOCK_BYTES
+                for block in told(blocks, "reading the log's bytes for its SHA-256", count):
+                    state.update(block)
+                return state.hexdigest()
         except LogError as error:
             raise OSError(str(error)) from error
     state = hashlib.sha256()

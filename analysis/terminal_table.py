@@ -9,11 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
+from analysis.checks import CrossCheck
 from analysis.record import Estimate, Record, Tuning
 from tunenet_logs.terminal import one_line
 
 _FEWEST_DECIMALS, _MOST_DECIMALS = 4, 6
 """Of an interval's ends."""
+
+_LARGEST = 1e9
+"""Of them, that is written out: no quantity is so large, but a stranger's file may say so."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +78,7 @@ def _table(parameter: str, rows: Sequence[Row]) -> str:
         parameter: [_value(record.estimates[:1]) for record in records],
         "95 % interval": [_interval(record) for record in records],
         **_other_parameters(records),
-        "cross-check": ["-" if cross is None else f"{cross.value:.4f}" for cross in crosses],
+        "cross-check (tolerance)": [_cross(cross) for cross in crosses],
         (extents or [""])[0]: ["-" if row.extent is None else row.extent[1] for row in rows],
         "fits": [_fits(record) for record in records],
         "rollouts": [str(record.rollouts) for record in records],
@@ -94,6 +98,22 @@ def _table(parameter: str, rows: Sequence[Row]) -> str:
     for row, line in zip(rows, lines, strict=True):
         out += [line, *(f"  {words}" for words in _lines_below(row))]
     return "\n".join(out)
+
+
+def _cross(cross: CrossCheck | None) -> str:
+    """A second estimate, and how far from the first it may be to agree."""
+    if cross is None:
+        return "-"
+    return f"{cross.value:.4f}" + ("" if cross.tolerance is None else f" ({cross.tolerance:.4f})")
+
+
+def cross_words(cross: CrossCheck) -> str:
+    """A second estimate with its noise, its way, and the tolerance that it was judged by."""
+    noise = "" if cross.noise95 is None else f" ± {cross.noise95:.4f} by its noise alone"
+    allowed = (
+        "" if cross.tolerance is None else f"; up to {cross.tolerance:.4f} off counts as agreed"
+    )
+    return f"{cross.value:.4f}{noise}, by {cross.method}{allowed}"
 
 
 def _lines_below(row: Row) -> list[str]:
@@ -162,6 +182,8 @@ def interval_words(low: float, high: float) -> str:
     The last digits differ by two or more. Where six decimals do not show that, the ends are rounded
     away from each other.
     """
+    if max(abs(low), abs(high)) > _LARGEST:
+        return f"{low:.4g} to {high:.4g}"
     decimals = _FEWEST_DECIMALS
     while decimals < _MOST_DECIMALS and round(high * 10**decimals) - round(low * 10**decimals) < 2:
         decimals += 1

@@ -78,7 +78,13 @@ _OF_SHOTS_TOO = ("restitution", "slope", "drag", "height")
 
 def build_parser() -> Parser:
     """The command's arguments; `..._only` are those of one source alone."""
-    parser = Parser("tunenet-record", _DESCRIPTION, _EXAMPLES)
+    parser = Parser(
+        "tunenet-record",
+        _DESCRIPTION,
+        _EXAMPLES,
+        failed="nothing, or not all of it, could be recorded",
+        ended="done, a recording that Ctrl-C ends too",
+    )
     source = parser.add_argument_group("source, one of").add_mutually_exclusive_group(required=True)
     source.add_argument(
         "--camera",

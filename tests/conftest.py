@@ -72,6 +72,7 @@ _MODULES = {
     "tunenet-compare": "analysis.cli.compare",
     "tunenet-report": "analysis.cli.report",
 }
+COMMANDS = tuple(_MODULES)
 
 
 @pytest.fixture(scope="session")

@@ -33,9 +33,10 @@ HEAVY |= {
     "fsspec",
     "pyarrow",
     "python_calamine",
+    "shtab",
     "ray",
 }
-OWNERS = {"rerun": "review", "cyclonedds": "ros2"}
+OWNERS = {"rerun": "review", "cyclonedds": "ros2", "matplotlib": "report", "jinja2": "report"}
 """The folders, by name, whose modules may import a library at module level."""
 ENGINE_FOLDERS = {name: f"recorders.simulators.{name}" for name in ("pybullet", "mujoco")}
 """The one package that may import a physics engine at all, or speak its keywords."""

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from tunenet_logs.commandline import Parser, read_options_of, reading_options, run
 from tunenet_logs.errors import TuneNetError
@@ -14,13 +15,23 @@ from tunenet_logs.terminal import Progress, one_line
 
 # The texts of --help.
 _DESCRIPTION = """\
-Logs of any kind: MCAP, ROS 1 and ROS 2 bags, CSV tables, videos.
+Logs of any kind: MCAP, ROS 1 and ROS 2 bags, CSV tables, videos."""
 
-  info      what recorded it, its channels with types, counts, rates and gaps, which
-            of them can be used and why not the others, what is damaged
-  check     is it whole: every checksum, record, message and picture
-  recover   copy what is whole of a damaged log, as it is, to a new MCAP file
-  import    bring a bag, a CSV table or a video into a log of our own format"""
+_VERBS = {
+    "info": "what recorded it, its channels with types, counts, rates and gaps, which of them can "
+    "be used and why not the others, what is damaged",
+    "check": "is it whole: every checksum, record, message and picture",
+    "recover": "copy what is whole of a damaged log, as it is, to a new MCAP file",
+    "import": "bring a bag, a CSV table or a video into a log of our own format",
+}
+
+_FAILED = {
+    "info": "a log could not be read",
+    "check": "a log is damaged or could not be read",
+    "recover": "nothing could be saved",
+    "import": "nothing was imported",
+}
+"""What exit code 1 means, by the verb."""
 
 _EXAMPLES = """\
   tunenet-logs info drop.mcap
@@ -36,21 +47,23 @@ timeline of when each was heard (# as often as usual, . less, blank not at all).
 _INFO_EXAMPLES = """\
   tunenet-logs info drop.mcap
   tunenet-logs info arm.bag rosbag2_2026_11_02/
-  tunenet-logs info drop.mcap.active     (what a killed recording left)"""
+  tunenet-logs info drop.mcap.active     (what a killed recording left)
+  tunenet-logs info *.bag --json | jq -r .channels[].topic"""
 
 _CHECK = """\
 Read all of a log: every checksum, record, message and picture. Says what is damaged
-and where. Exit code 1 if anything is. Most bags, and logs by other recorders, carry
-no checksum of their data: then damage may go unseen, and a line says so."""
+and where. Most bags, and logs by other recorders, carry no checksum of their data:
+then damage may go unseen, and a line says so."""
 
 _CHECK_EXAMPLES = """\
   tunenet-logs check drop.mcap
-  tunenet-logs check logs/*.mcap"""
+  tunenet-logs check logs/*.mcap
+  tunenet-logs check logs/*.mcap --json | jq -r 'select(.whole | not) | .log'"""
 
 _RECOVER = """\
 Copy every whole message of a damaged log, as it is, to a new MCAP file with an index
 and all checksums, which opens in every reader of MCAP. The log itself is never
-changed. Exit code 0 if something was saved, even if something was lost; that is listed.
+changed. What was lost is listed.
 
 Messages of ROS 1 stay what they are, so readers that know ROS 2 alone refuse the copy
 of a ROS 1 bag. `tunenet-logs import` makes a log of ROS 2 messages of it."""
@@ -76,24 +89,35 @@ _MOST_LINES = 100
 
 _UNSAID = "what a file does not say itself"
 
+_JSON_HELP = "for scripts: one JSON object a log, each on a line of its own (docs/logs.md)"
+
 
 def build_parser() -> Parser:
     """The command's arguments."""
-    parser = Parser("tunenet-logs", _DESCRIPTION, _EXAMPLES)
-    verbs = parser.add_subparsers(dest="verb", metavar="{info,check,recover,import}", required=True)
+    parser = Parser("tunenet-logs", _DESCRIPTION, _EXAMPLES, failed=_FAILED["check"])
+    verbs = parser.add_subparsers(
+        dest="verb", title="what to do", metavar=f"{{{','.join(_VERBS)}}}", required=True
+    )
 
     def verb(name: str, description: str, examples: str, body: Callable) -> argparse.ArgumentParser:
         made = verbs.add_parser(
-            name, prog=f"tunenet-logs {name}", description=description, examples=examples
+            name,
+            prog=f"tunenet-logs {name}",
+            help=_VERBS[name],
+            description=description,
+            examples=examples,
+            failed=_FAILED[name],
         )
         made.set_defaults(body=body)
         return made
 
     info = verb("info", _INFO, _INFO_EXAMPLES, _info)
     info.add_argument("logs", nargs="+", type=Path, metavar="LOG")
+    info.add_argument("--json", action="store_true", help=_JSON_HELP)
     reading_options(info.add_argument_group(_UNSAID))
     check = verb("check", _CHECK, _CHECK_EXAMPLES, _check)
     check.add_argument("logs", nargs="+", type=Path, metavar="LOG")
+    check.add_argument("--json", action="store_true", help=_JSON_HELP)
     check.add_argument("--quiet", action="store_true", help="no progress bar")
     reading_options(check.add_argument_group(_UNSAID))
     for name, description, examples, body in (
@@ -118,13 +142,24 @@ def main(argv: Sequence[str] | None = None) -> int:
     return run(build_parser(), lambda arguments: arguments.body(arguments), argv)
 
 
-def _each(logs: Sequence[Path], body: Callable[[Path], bool]) -> int:
-    """Run for every log; one that cannot be read does not stop the rest."""
+def _each(
+    logs: Sequence[Path],
+    body: Callable[[Path], bool],
+    unread: Callable[[Path, str], None] = lambda *_: None,
+) -> int:
+    """Run for every log; one that cannot be read does not stop the rest.
+
+    Args:
+        logs: in this order.
+        body: shows one, and says whether it is as it should be.
+        unread: shows one that cannot be read, by the reason.
+    """
     good = True
     for log in logs:
         try:
             good &= body(log)
         except TuneNetError as error:
+            unread(log, str(error))
             if len(logs) == 1:
                 raise
             print(one_line(f"tunenet-logs: {error}"), file=sys.stderr)
@@ -134,20 +169,33 @@ def _each(logs: Sequence[Path], body: Callable[[Path], bool]) -> int:
 
 def _info(arguments: argparse.Namespace) -> int:
     from tunenet_logs.describe import describe
+    from tunenet_logs.describe_json import info_fields, unread_info
     from tunenet_logs.reader import read_episode
 
+    options = read_options_of(arguments)
+
     def show(log: Path) -> bool:
-        print(describe(log, read_episode(log, read_options_of(arguments))))
+        print(describe(log, read_episode(log, options)))
         return True
 
+    def show_fields(log: Path) -> bool:
+        _print_json(info_fields(log, read_episode(log, options)))
+        return True
+
+    if arguments.json:
+        return _each(arguments.logs, show_fields, lambda *why: _print_json(unread_info(*why)))
     return _each(arguments.logs, show)
 
 
 def _check(arguments: argparse.Namespace) -> int:
     from tunenet_logs.checking import check
+    from tunenet_logs.describe_json import check_fields, unread_check
+
+    options = read_options_of(arguments)
+    progress = Progress(quiet=arguments.quiet)
 
     def show(log: Path) -> bool:
-        health = check(log, Progress(quiet=arguments.quiet), read_options_of(arguments))
+        health = check(log, progress, options)
         channels = health.episode.channels
         held = (
             f"{sum(channel.messages for channel in channels)} messages in {len(channels)} channels"
@@ -157,7 +205,20 @@ def _check(arguments: argparse.Namespace) -> int:
         _say("note", health.doubts)
         return not health.damage
 
+    def show_fields(log: Path) -> bool:
+        health = check(log, progress, options)
+        _print_json(check_fields(log, health))
+        return not health.damage
+
+    if arguments.json:
+        return _each(arguments.logs, show_fields, lambda *why: _print_json(unread_check(*why)))
     return _each(arguments.logs, show)
+
+
+def _print_json(fields: Mapping[str, Any]) -> None:
+    from tunenet_logs.json_lines import json_line
+
+    print(json_line(fields), flush=True)
 
 
 def _say(what: str, facts: Sequence[str]) -> None:

@@ -9,9 +9,12 @@ import signal
 import sys
 import traceback
 from collections.abc import Callable, Sequence
+from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING, NoReturn
 
 from tunenet_logs import __version__
+from tunenet_logs.completion import SHELLS, PrintCompletion
 from tunenet_logs.errors import TuneNetError, UsageError
 from tunenet_logs.starting import WORDS
 from tunenet_logs.stopping import stoppable
@@ -21,19 +24,47 @@ if TYPE_CHECKING:
     from tunenet_logs.formats.read_options import ReadOptions
 
 
-class Parser(argparse.ArgumentParser):
-    """An argument parser whose errors are one line, with exit code 2."""
+_HELP_COLUMNS = 80
 
-    def __init__(self, prog: str, description: str, examples: str) -> None:
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser whose errors are one line, with exit code 2.
+
+    Args:
+        prog: the command, with its verb where it has some.
+        description: what it does.
+        examples: of how it is called.
+        failed: what exit code 1 means.
+        ended: what exit code 0 means.
+    """
+
+    def __init__(
+        self,
+        prog: str,
+        description: str,
+        examples: str,
+        *,
+        failed: str = "a log failed or was rejected",
+        ended: str = "done",
+    ) -> None:
+        codes = f"exit codes: 0~{ended}, 1~{failed}, 2~wrong usage, 130~Ctrl-C"
+        lines = fill(codes, _HELP_COLUMNS, subsequent_indent="  ").replace("~", " ")
         super().__init__(
             prog=prog,
             description=description,
-            epilog=f"examples:\n{examples}",
+            epilog=f"examples:\n{examples}\n\n{lines}",
             formatter_class=argparse.RawDescriptionHelpFormatter,
             allow_abbrev=False,
         )
         self.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
         self.add_argument("--debug", action="store_true", help="show the traceback of an error")
+        if " " not in prog:  # one script completes a command with its verbs
+            self.add_argument(
+                "--print-completion",
+                action=PrintCompletion,
+                choices=SHELLS,
+                help="print a script that has a shell complete this command (docs/commands.md)",
+            )
 
     def error(self, message: str) -> NoReturn:
         """Refuse the arguments with one line."""
@@ -167,6 +198,11 @@ def whole(low: int, high: int) -> Callable[[str], int]:
         return value
 
     return parse
+
+
+def is_stdout(path: Path) -> bool:
+    """Whether a path that an option names stands for standard output: `-`."""
+    return str(path) == "-"
 
 
 def size_px(text: str) -> tuple[int, int]:

@@ -3,16 +3,27 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator
+import time
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
+
+from tunenet_logs.progress import heard_by
 
 _MOST_CHARACTERS = 60
 """Of a name: with them, the rest of its line still fits a wide terminal."""
 
 _MOST_NAMES = 20
 """In one sentence; the rest is counted: nobody reads more of them."""
+
+_STAGE_FORMAT = "{desc}: {percentage:3.0f} %|{bar}| {remaining} left"
+
+_WATCHED_S, _WORTH_A_WORD_S = 2.0, 10.0
+"""For which a stage is watched before it is said how long it will last, and from when it is."""
+
+_IN_SECONDS_S = 90.0
+"""Times below it are told in seconds; so many minutes in minutes."""
 
 
 def one_line(text: object) -> str:
@@ -64,6 +75,53 @@ class _NoBar:
     set_postfix_str = update
 
 
+class _Shown:
+    """Stages on a bar, one after the other."""
+
+    def __init__(self, bar: Any) -> None:
+        self._bar = bar
+        self._what = ""
+
+    def __call__(self, what: str, fraction: float) -> None:
+        """Show how far a stage is."""
+        if what != self._what:
+            self._what = what
+            self._bar.reset(total=1.0)
+            self._bar.set_description_str(short_name(what), refresh=False)
+        self._bar.update(fraction - self._bar.n)
+
+
+class _Announced:
+    """Says of a stage, once, that it will last, and how long by how fast it has been."""
+
+    def __init__(self, name: str, say: Callable[[str], None]) -> None:
+        self._name, self._say = name, say
+        self._what = ""
+        self._since_s = 0.0
+        self._is_said = False
+
+    def __call__(self, what: str, fraction: float) -> None:
+        """Look whether there is something to say."""
+        now_s = time.monotonic()
+        if what != self._what:
+            self._what, self._since_s, self._is_said = what, now_s, False
+        lasted_s = now_s - self._since_s
+        if self._is_said or lasted_s < _WATCHED_S or not fraction:
+            return
+        left_s = lasted_s * (1 - fraction) / fraction
+        if left_s > _WORTH_A_WORD_S:
+            self._is_said = True
+            self._say(f"{self._name}: {what}: about {about(left_s)} more")
+
+
+def about(seconds: float) -> str:
+    """A time that nobody needs exactly: "40 s", "3 min"."""
+    if seconds < _IN_SECONDS_S:
+        return f"{max(round(seconds, -1), 1):.0f} s" if seconds >= 10 else f"{seconds:.0f} s"
+    minutes = seconds / 60
+    return f"{minutes:.0f} min" if minutes < _IN_SECONDS_S else f"{minutes / 60:.1f} h"
+
+
 @dataclass(frozen=True, kw_only=True)
 class Progress:
     """Tells of work in progress on standard error.
@@ -88,6 +146,29 @@ class Progress:
         from tqdm import tqdm
 
         tqdm.write(one_line(text), file=sys.stderr)
+
+    @contextmanager
+    def stages(self, name: str) -> Generator[None]:
+        """Show the stages of the work in this block that tell how far they are.
+
+        A bar where bars are shown. Else one line about a stage that will last.
+
+        Args:
+            name: whose work it is, for that line.
+        """
+        if self.quiet:
+            yield
+        elif not self.shows_bars:
+            with heard_by(_Announced(name, self.say)):
+                yield
+        else:
+            from tqdm import tqdm
+
+            with (
+                tqdm(total=1.0, file=sys.stderr, leave=False, bar_format=_STAGE_FORMAT) as bar,
+                heard_by(_Shown(bar)),
+            ):
+                yield
 
     @contextmanager
     def bar(self, total: int | None, what: str, unit: str) -> Iterator[Bar]:

@@ -15,6 +15,7 @@ from tunenet_logs.errors import LogError, UsageError
 if TYPE_CHECKING:
     from analysis.campaign.build import Campaign
     from analysis.comparison import Comparison
+    from analysis.report.embedded import Kind
 
 
 def read_tuning(path: AnyPath) -> Record:
@@ -130,6 +131,59 @@ def compare(
         for one in tunings
     ]
     return compared(records, names)
+
+
+def report(
+    places: AnyPath | Iterable[AnyPath],
+    page: AnyPath | None = None,
+    *,
+    figures: AnyPath | None = None,
+    kind: Kind = "pdf",
+    jobs: int | None = None,
+    overwrite: bool = False,
+) -> tuple[Path, ...]:
+    """Write one page of tunings, figures of them, or both, as `tunenet-report` does.
+
+    Args:
+        places: JSONs of tunings, folders of them, or a campaign's folder.
+        page: of the page, `NAME.html`; None for none.
+        figures: a file for the main figure, or a folder for all; None for none.
+        kind: of the figures: "pdf" or "png".
+        jobs: processes for a campaign's drops; None for all cores.
+        overwrite: whether what this function wrote before may be replaced.
+
+    Returns:
+        The files that were written.
+
+    Raises:
+        UsageError: there is nothing to report, or something else is in a file's place.
+        LogError: a tuning cannot be read.
+    """
+    from analysis.campaign.files import files_of
+    from analysis.optional_dependencies import needed
+    from analysis.output_files import check_output
+    from analysis.report.page import report_page
+    from analysis.report.paper import FigureOrder, write_figures
+    from analysis.report.reported import read_reported
+    from analysis.result_files import replacing, writable
+    from tunenet_logs.terminal import Progress
+
+    needed("matplotlib", "report")
+    needed("jinja2", "report")
+    named = [places] if isinstance(places, str | PathLike) else list(places)
+    inputs = list(files_of(list(map(Path, named)), _warn))
+    if page is not None:
+        check_output(Path(page), "page", (".html",), inputs, overwrite=overwrite)
+    reported = read_reported(list(map(Path, named)), jobs, Progress(quiet=True), _warn)
+    written: list[Path] = []
+    if page is not None:
+        with writable(Path(page), "choose another place"), replacing(Path(page)) as unfinished:
+            unfinished.write_text(report_page(reported), "utf-8")
+        written.append(Path(page))
+    if figures is not None:
+        order = FigureOrder(Path(figures), kind, inputs, overwrite=overwrite)
+        written += write_figures(order, reported.tunings)
+    return tuple(written)
 
 
 def save_arm_card(tuning: Tuning, path: AnyPath, *, overwrite: bool = False) -> Path:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Generator, Iterable
 from contextlib import contextmanager, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from os import PathLike
 from pathlib import Path
@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Literal, Unpack
 from analysis.record import Tuning
 from analysis.tune_options import AnyPath, TuneOptions, ball_doubts, options_of
 from tunenet_logs.episode import Episode
+from tunenet_logs.progress import Listener, heard_by
+from tunenet_logs.terminal import Bar, Progress
 
 if TYPE_CHECKING:
     import pandas as pd  # pyright: ignore[reportMissingTypeStubs] (it ships its own types)
@@ -27,6 +29,7 @@ def tune(
     *,
     name: str = "episode",
     engine: str | None = None,
+    progress: Listener | None = None,
     **options: Unpack[TuneOptions],
 ) -> Tuning:
     """Tune from one log, as `tunenet-tune` does; nothing is written.
@@ -36,6 +39,7 @@ def tune(
         name: what an episode in memory is called in the result.
         engine: "pybullet" or "mujoco"; None for the first that is installed. It is chosen for the
             whole process while this runs.
+        progress: is given what is being done, in words, and which fraction of it, from 0 to 1.
         **options: those of the command; see `TuneOptions`.
 
     Returns:
@@ -51,7 +55,7 @@ def tune(
     from analysis.tuning import tune_episode, tune_log
     from recorders.simulators.engines import simulated_by
 
-    with simulated_by(engine):
+    with simulated_by(engine), heard_by(progress):
         if isinstance(source, Episode):
             chosen = options_of(options)
             tuning = tune_episode(source, chosen, Path(name))
@@ -82,6 +86,45 @@ def _here(source: AnyPath) -> Generator[Path]:
         yield path
 
 
+class _Counted:
+    """A bar that tells a listener."""
+
+    def __init__(self, listener: Listener, what: str, total: int) -> None:
+        self._listener, self._what, self._total = listener, what, total
+        self._done = 0
+
+    def update(self, done: int, /) -> None:
+        """So many more are done."""
+        self._done += done
+        self._listener(self._what, self._done / max(self._total, 1))
+
+    def set_postfix_str(self, text: str, /, *, refresh: bool) -> None:
+        """Nothing is shown beside it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _HeardByFunction(Progress):
+    """Progress that a function hears, and no terminal."""
+
+    quiet: bool = True
+    listener: Listener | None = None
+
+    @contextmanager
+    def stages(self, name: str) -> Generator[None]:  # noqa: ARG002 (one log has no need of it)
+        """See `Progress.stages`."""
+        with heard_by(self.listener):
+            yield
+
+    @contextmanager
+    def bar(self, total: int | None, what: str, unit: str) -> Generator[Bar]:
+        """See `Progress.bar`."""
+        if self.listener is None:
+            with super().bar(total, what, unit) as bar:
+                yield bar
+        else:
+            yield _Counted(self.listener, what, total or 0)
+
+
 def tune_all(
     logs: AnyPath | Iterable[AnyPath],
     folder: AnyPath,
@@ -92,6 +135,7 @@ def tune_all(
     jobs: int | None = None,
     ray: str | None = None,
     engine: str | None = None,
+    progress: Listener | None = None,
     **options: Unpack[TuneOptions],
 ) -> pd.DataFrame:
     """Tune many logs on all cores, as `tunenet-tune LOGS -o FOLDER` does.
@@ -105,6 +149,7 @@ def tune_all(
         jobs: how many processes; None for all cores.
         ray: a Ray cluster's HOST:PORT, "auto" or "local"; None for processes of this machine.
         engine: see `tune`.
+        progress: see `tune`; of many logs, the fraction of them that is done.
         **options: of every log; see `TuneOptions`.
 
     Returns:
@@ -121,7 +166,6 @@ def tune_all(
     from analysis.batch.run import Order, run_batch
     from analysis.batch.summary import closing
     from recorders.simulators.engines import simulated_by
-    from tunenet_logs.terminal import Progress
 
     named = [logs] if isinstance(logs, str | PathLike) else list(logs)
     places = [str(one) if "://" in str(one) else Path(one) for one in named]
@@ -138,7 +182,11 @@ def tune_all(
         stream = partial(on_ray, Cluster(ray, jobs))
     with simulated_by(engine):
         batch = run_batch(
-            order, Progress(quiet=True), stream, jobs, after=partial(closing, order, None)
+            order,
+            _HeardByFunction(listener=progress),
+            stream,
+            jobs,
+            after=partial(closing, order, None),
         )
     assert batch.ledger is not None
     return read_ledger(batch.ledger)

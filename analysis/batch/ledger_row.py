@@ -8,8 +8,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from analysis.record import Estimate, Record
 from tunenet_logs.formats.registry import file_bytes
 from tunenet_logs.regular_file import real_path
@@ -18,8 +16,6 @@ Cell = str | int | float | bool | None
 
 LedgerRow = Mapping[str, Cell]
 """Cells by the names of their columns; those without a value may be left out."""
-
-_AXES = "xyz"
 
 
 @dataclass(frozen=True)
@@ -97,19 +93,12 @@ def ledger_row(
 
 def _cells(estimate: Estimate) -> dict[str, Cell]:
     """A value, and the ends of its interval as `_low` and `_high`; a vector's by its axes."""
-    name = estimate.name
-    if estimate.unit != "1":
-        name += "_" + re.sub(r"[^A-Za-z0-9]+", "_", estimate.unit).strip("_")
-    values = np.atleast_1d(estimate.value)
-    ends = np.full((len(values), 2), np.nan)
-    if estimate.interval95 is not None:
-        ends = np.reshape(estimate.interval95, (-1, 2))
+    unit = re.sub(r"[^A-Za-z0-9]+", "_", estimate.unit).strip("_")
+    ending = "" if estimate.unit == "1" else f"_{unit}"
     cells: dict[str, Cell] = {}
-    for at, (value, (low, high)) in enumerate(zip(values, ends, strict=True)):
-        one = name
-        if len(values) > 1:
-            one += f"_{_AXES[at] if len(values) <= len(_AXES) else at + 1}"
-        cells[one] = float(value)
-        if estimate.interval95 is not None:
-            cells |= {f"{one}_low": float(low), f"{one}_high": float(high)}
+    for part in estimate.components:
+        name = part.name + ending
+        cells[name] = part.value
+        if part.interval95 is not None:
+            cells |= dict(zip((f"{name}_low", f"{name}_high"), part.interval95, strict=True))
     return cells

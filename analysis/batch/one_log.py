@@ -59,12 +59,14 @@ class Result:
         entry: what the ledger says of it.
         review: the recording to open; None if there is nothing to show.
         trouble: why results could not be written, one line; None if they were.
+        report: the JSON that was written; None if none was.
     """
 
     row: Row
     entry: LedgerRow
     review: Path | None = None
     trouble: str | None = None
+    report: Path | None = None
 
 
 def lost(work: Work, options: Options) -> Result:
@@ -110,10 +112,11 @@ def _of_file(work: Work, log: Path, state: LogState, options: Options, writing: 
             sha256 = log_sha256(log)
     tuning = replace(tuning, provenance=provenance_of(tuning, sha256, options))
     record = tuning.record
-    review, trouble = None, None
+    review, trouble, report = None, None, None
     try:
         if is_log and (sha256 or not files[0].exists()):
             review = _write(work.name, tuning, record, writing)
+            report = files[0]
             trouble = writing.also and _trouble(writing.also, tuning)
     except (OSError, UnicodeError) as error:  # the latter for a name that Rerun cannot take
         place, why = work.name.parent, "its name is not UTF-8"
@@ -124,7 +127,7 @@ def _of_file(work: Work, log: Path, state: LogState, options: Options, writing: 
     row = row_of(tuning, small)
     row = replace(row, log=work.log) if is_remote(work.log) else row
     entry = ledger_row(work.log, work.name, small, state, error=trouble)
-    return Result(row, entry, review, trouble)
+    return Result(row, entry, review, trouble, report)
 
 
 def _tuned(log: Path, options: Options) -> Tuning:

@@ -7,7 +7,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from analysis.batch.result_names import result_files, result_names
 from analysis.processes import streamed
 from analysis.result_files import log_sha256
 from analysis.selection import Options
-from tunenet_logs.terminal import Progress
+from tunenet_logs.terminal import Progress, one_line
 
 MOST_SHOWN = 40
 """Logs of a batch whose results are kept to be shown one by one."""
@@ -85,6 +85,7 @@ def run_batch(
     stream: Streamed | None = None,
     jobs: int | None = None,
     after: Callable[[Ledger], None] | None = None,
+    each: Callable[[Result], None] = lambda _result: None,
 ) -> BatchResult:
     """Tune every log, write its results, and enter it in the ledger.
 
@@ -94,6 +95,7 @@ def run_batch(
         stream: where the work is done; None for processes of this machine.
         jobs: how many processes then; None for all cores.
         after: is given the whole ledger at the end.
+        each: is given what came of each log, as it is done.
 
     Raises:
         UsageError: the options fit no log at all, or two logs would write the same results.
@@ -121,10 +123,15 @@ def run_batch(
             else streamed(work, works, jobs, may_stay=True, lost=gone)
         )
         told = _Told(progress, len(works), began_s)
-        with progress.bar(len(works), "tuning", "log") as bar:
+        counted = progress
+        if len(works) == 1:  # how far its own stages are says more than none of one
+            stack.enter_context(progress.stages(one_line(works[0].log)))
+            counted = replace(progress, quiet=True)
+        with counted.bar(len(works), "tuning", "log") as bar:
             for at, result in results:
                 if kept is not None:
                     kept.append({**result.entry, "options": digest})
+                each(result)
                 verdict = result.row.record.verdict
                 batch.verdicts[verdict] += 1
                 batch.reasons.update(_kinds(result.row.record.reason))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import platform
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from analysis.batch.ledger import Ledger
@@ -11,9 +12,13 @@ from analysis.batch.one_log import Result
 from analysis.batch.result_names import OF_BATCH, result_files
 from analysis.batch.run import MOST_SHOWN, BatchResult, Order
 from analysis.batch.text_table import write_csv
+from analysis.record import Record
 from analysis.result_files import replacing, writable
 from analysis.terminal_table import table
+from tunenet_logs import __version__
 from tunenet_logs.terminal import one_line, short_name
+
+_OF_SIMULATOR = ("engine", "preset", "step_hz")
 
 _ELSEWHERE = "free some space and run it again with --resume: the logs are done"
 
@@ -43,11 +48,15 @@ def overview_file(folder: Path) -> Path:
     return result_files(folder / OF_BATCH)[1]
 
 
-def print_results(results: Sequence[Result]) -> None:
-    """A table of the logs that could be read; why others could not, on standard error."""
-    rows = [result.row for result in results]
-    if any(row.is_read for row in rows):
-        print(table([row for row in rows if row.is_read]))
+def print_table(results: Sequence[Result]) -> None:
+    """A table of the logs that could be read."""
+    rows = [result.row for result in results if result.row.is_read]
+    if rows:
+        print(table(rows))
+
+
+def print_remarks(results: Sequence[Result]) -> None:
+    """What is to be known of logs, and why some could not be read, on standard error."""
     for result in results:
         record = result.row.record
         remarks = record.warnings if result.row.is_read else (record.reason, *record.warnings)
@@ -55,6 +64,35 @@ def print_results(results: Sequence[Result]) -> None:
             print(one_line(f"tunenet-tune: {result.row.log}: {remark}"), file=sys.stderr)
         if result.trouble:
             print(one_line(f"tunenet-tune: {result.trouble}"), file=sys.stderr)
+
+
+def print_details(results: Sequence[Result]) -> None:
+    """Of each log, on standard error: where what was found, how, in which time; every check."""
+    known = f"Python {platform.python_version()}, {platform.system()} {platform.machine()}"
+    print(f"tunenet-logs {__version__}, {known}", file=sys.stderr)
+    for result in results:
+        for line in _details(result.row.record):
+            print(one_line(f"{result.row.log}: {line}"), file=sys.stderr)
+
+
+def _details(record: Record) -> Iterator[str]:
+    where = f" in {record.topic}" if record.topic else ""
+    yield f"{record.task or 'no experiment'}{where}"
+    if record.window:
+        moments = ", ".join(
+            f"{name.removesuffix('_s')} {at_s:.3f} s" for name, at_s in record.window.items()
+        )
+        yield f"moments since its first sample: {moments}"
+    if record.simulator is not None:
+        engine, preset, step_hz = (record.simulator[name] for name in _OF_SIMULATOR)
+        yield (
+            f"{record.method}, preset {preset}, {record.rollouts} rollouts in {engine} at "
+            f"{step_hz:g} steps a second"
+        )
+    stages = sorted(record.seconds.items(), key=lambda stage: stage[0] == "total")
+    yield ", ".join(f"{name} {seconds:.3f} s" for name, seconds in stages)
+    for check in record.checks:
+        yield f"{'passed' if check.passed else 'FAILED'}: {check.name}: {check.detail}"
 
 
 def summary(batch: BatchResult, count: int) -> str:

@@ -103,6 +103,22 @@ def material_of(places: Sequence[Path], warn: Warn) -> Material:
     )
 
 
+def holds_campaign(places: Sequence[Path]) -> bool:
+    """Whether outcomes are among these files; what cannot be read is passed over."""
+
+    def is_outcome(file: Path) -> bool:
+        try:
+            return bool(_outcomes(file, _silent))
+        except (LogError, OSError):
+            return False
+
+    return any(map(is_outcome, files_of(places, _silent)))
+
+
+def _silent(_: str) -> None:
+    """Say nothing: whoever reads these files next does."""
+
+
 def natural(name: str) -> tuple[tuple[int, int, str], ...]:
     """A key that sorts names as people count: drop_2 before drop_10."""
     parts: list[tuple[int, int, str]] = []

@@ -91,7 +91,7 @@ def small_film(
         return None
     height, width = small[0].shape[:2]
     pictures = tuple(_jpeg(one) for one in small)
-    return SmallFilm(start_ns, tuple(seconds), pictures, _jpeg(_strobe(small)), (width, height))
+    return SmallFilm(start_ns, tuple(seconds), pictures, _jpeg(strobe(small)), (width, height))
 
 
 class _Pace:
@@ -125,7 +125,7 @@ def _reduced(frame: Frame) -> Picture:
     return np.asarray(cv2.cvtColor(small, cv2.COLOR_RGB2BGR), np.uint8)
 
 
-def _strobe(pictures: list[Picture]) -> Picture:
+def strobe(pictures: list[Picture]) -> Picture:
     """What moves, wherever it was, over what does not, shape (H, W, 3).
 
     Each pixel is taken from the picture in which it is furthest from its median.

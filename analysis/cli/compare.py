@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tunenet_logs.commandline import Parser, run
+from tunenet_logs.errors import UsageError
 from tunenet_logs.terminal import one_line
 
 if TYPE_CHECKING:
     from analysis.comparison import Comparison
-    from analysis.tuning_files import TuningFile
 
 _DESCRIPTION = """\
 Parameters of several tunings side by side with their 95 % intervals, and which of them
@@ -37,7 +37,9 @@ _EXAMPLES = """\
 
 def build_parser() -> Parser:
     """The command's arguments."""
-    parser = Parser("tunenet-compare", _DESCRIPTION, _EXAMPLES)
+    parser = Parser(
+        "tunenet-compare", _DESCRIPTION, _EXAMPLES, failed="there is nothing to compare"
+    )
     add = parser.add_argument
     add("places", nargs="+", type=Path, metavar="TUNING.json", help="tunings, folders with them")
     add("--csv", type=Path, metavar="FILE", help="write all values as a table, and all tests")
@@ -66,7 +68,7 @@ def _compare(arguments: argparse.Namespace) -> int:
     comparison = compare(
         [tuning.record for tuning in tunings], [tuning.label for tuning in tunings]
     )
-    written = _write(arguments, comparison, tunings)
+    written = _write(arguments, comparison)
     print(comparison_text(comparison))
     if written:
         print("\nwritten: " + ", ".join(one_line(path) for path in written))
@@ -90,9 +92,7 @@ def _pairs_path(path: Path) -> Path:
     return path.with_name(f"{path.stem}_pairs{path.suffix}")
 
 
-def _write(
-    arguments: argparse.Namespace, comparison: Comparison, tunings: Sequence[TuningFile]
-) -> list[Path]:
+def _write(arguments: argparse.Namespace, comparison: Comparison) -> list[Path]:
     from analysis.result_files import replacing
 
     written: list[Path] = []
@@ -106,14 +106,17 @@ def _write(
         from analysis.report.page import comparison_page
 
         with replacing(arguments.html) as partial:
-            partial.write_text(comparison_page(comparison, tunings), "utf-8")
+            partial.write_text(comparison_page(comparison), "utf-8")
         written.append(arguments.html)
     if arguments.png:
-        from analysis.report.compared_figures import comparison_figure
-        from analysis.report.paper import write_picture
+        from analysis.report.compared_figures import comparison_drawings
+        from analysis.report.embedded import write_figure
 
+        drawings = comparison_drawings(comparison)
+        if not drawings:
+            raise UsageError(f"{arguments.png}: these tunings have nothing to draw together")
         with replacing(arguments.png) as partial:
-            write_picture(comparison_figure(comparison), partial, "png")
+            write_figure(drawings[0].figure, partial, "png")
         written.append(arguments.png)
     return written
 

@@ -26,9 +26,8 @@ the first rebound is as high as the recorded one (--speed V: the tuned law's at 
 gets the tuned one, and the air's drag.
 
 Where the engine is installed, the file is loaded and the ball dropped again from the
-recorded height; how it bounces stands beside what was tuned.
+recorded height; how it bounces stands beside what was tuned."""
 
-Exit code 1 if the tuning was rejected or cannot be read."""
 
 _EXAMPLES = """\
   tunenet-export drop.json --to pybullet
@@ -39,7 +38,12 @@ _EXAMPLES = """\
 
 def build_parser() -> Parser:
     """The command's arguments."""
-    parser = Parser("tunenet-export", _DESCRIPTION, _EXAMPLES)
+    parser = Parser(
+        "tunenet-export",
+        _DESCRIPTION,
+        _EXAMPLES,
+        failed="the tuning was rejected or cannot be read",
+    )
     add = parser.add_argument
     add("tuning", type=Path, metavar="TUNING.json", help="what tunenet-tune wrote")
     add(

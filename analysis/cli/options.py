@@ -9,6 +9,7 @@ from analysis.tune_options import RANGES, effort_unit
 from recorders.simulators.arm.known_arms import ARMS, DEFAULT
 from recorders.simulators.balls import BALLS
 from tunenet_logs.commandline import number, whole
+from tunenet_logs.completion import offering
 from tunenet_logs.errors import UsageError
 from tunenet_logs.regular_file import real_path
 
@@ -27,6 +28,17 @@ def jobs_option(parser: argparse.ArgumentParser, what: str) -> None:
     """`--jobs`: `what` at a time."""
     parser.add_argument(
         "--jobs", type=whole(1, 256), metavar="N", help=f"{what} (default: all cores)"
+    )
+
+
+def json_option(group: argparse._ActionsContainer, what: str, *names: str) -> None:
+    """`--json`: `what` to a file, or to standard output."""
+    group.add_argument(
+        *names,
+        "--json",
+        type=Path,
+        metavar="FILE",
+        help=f"{what} to FILE, or with - to standard output in place of all else",
     )
 
 
@@ -54,7 +66,8 @@ def _cluster(text: str) -> str:
 def ball_options(group: argparse._ArgumentGroup) -> None:
     """Add the options that say what was dropped."""
     add = group.add_argument
-    add("--ball", metavar="NAME", help=f"a ball of known size and mass: {', '.join(BALLS)}")
+    ball = add("--ball", metavar="NAME", help=f"a ball of known size and mass: {', '.join(BALLS)}")
+    offering(ball, BALLS)
     add(
         "--ball-diameter",
         type=number(*RANGES["ball_diameter_m"]),
@@ -93,12 +106,13 @@ def arm_options(group: argparse._ArgumentGroup) -> None:
         metavar="FILE",
         help="write what the log, its tares and the --arm-card say of the arm; for one log",
     )
-    add(
+    arm = add(
         "--arm",
         metavar="NAME",
         help=f"whose torques these are: {', '.join(ARMS)} (default: as the joints' names say, else "
         f"{DEFAULT})",
     )
+    offering(arm, ARMS)
     add("--urdf", type=Path, metavar="FILE", help="any other serial arm")
     add("--tool-link", metavar="NAME", help="the link of that URDF in whose frame the payload is")
     add(

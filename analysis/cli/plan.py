@@ -10,8 +10,9 @@ from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from analysis.cli.options import json_option
 from recorders.engine_option import engine_option, in_engine
-from tunenet_logs.commandline import Parser, number, run, whole
+from tunenet_logs.commandline import Parser, is_stdout, number, run, whole
 from tunenet_logs.errors import UsageError
 from tunenet_logs.regular_file import real_path
 from tunenet_logs.terminal import one_line
@@ -26,9 +27,7 @@ bounces through a hoop (the paper's third experiment). 100 heights, evenly over 
 the robot reaches, are tried in a simulator with air, friction, spin and a real rim;
 of those that pass, the best is the one that forgives most: in restitution, height and
 drag, each by how well it is known. Restitution, its slope over speed and drag are those
-that were tuned; the restitution is that at the shot's own speed.
-
-Exit code 1 if no height scores, or the tuning was rejected."""
+that were tuned; the restitution is that at the shot's own speed."""
 
 _EXAMPLES = """\
   tunenet-plan drop.json
@@ -40,7 +39,12 @@ _EXAMPLES = """\
 
 def build_parser() -> Parser:
     """The command's arguments."""
-    parser = Parser("tunenet-plan", _DESCRIPTION, _EXAMPLES)
+    parser = Parser(
+        "tunenet-plan",
+        _DESCRIPTION,
+        _EXAMPLES,
+        failed="no shot goes in, or the tuning was rejected or cannot be read",
+    )
     add = parser.add_argument
     add("tuning", nargs="?", type=Path, metavar="TUNING.json", help="what tunenet-tune wrote")
     add("--restitution", type=number(0, 1), metavar="E", help="of the ball, in place of a tuning")
@@ -74,9 +78,7 @@ def build_parser() -> Parser:
     )
     engine_option(parser)
     files = parser.add_argument_group("files (replaced if they exist)")
-    files.add_argument(
-        "-o", "--json", type=Path, metavar="FILE", help="the plan, with each shot that was tried"
-    )
+    json_option(files, "the plan, with each shot that was tried,", "-o")
     files.add_argument("--rrd", type=Path, metavar="FILE", help="the shots, for Rerun")
     return parser
 
@@ -87,7 +89,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _plan(arguments: argparse.Namespace) -> int:
-    from analysis.result_files import check_writable, replacing
+    from analysis.result_files import check_writable, replacing, write_json
     from recorders.simulators.shot.rig import ShotRig
     from recorders.simulators.shot.rig_file import read_rig, rig_text
 
@@ -100,8 +102,9 @@ def _plan(arguments: argparse.Namespace) -> int:
     _refuse_own_input(arguments)
     ball = _ball(arguments, rig)
     for name in ("json", "rrd"):
-        if getattr(arguments, name) is not None:
-            check_writable(getattr(arguments, name), f"--{name}")
+        path = getattr(arguments, name)
+        if path is not None and not (name == "json" and is_stdout(path)):
+            check_writable(path, f"--{name}")
     if arguments.rrd is not None and arguments.rrd.suffix != ".rrd":
         raise UsageError(f"{arguments.rrd}: Rerun opens .rrd; give --rrd a name that ends so")
 
@@ -111,18 +114,20 @@ def _plan(arguments: argparse.Namespace) -> int:
 
     plan = plan_shot(rig, ball, arguments.shots)
     replay = replayed(plan)
-    print(plan_table(plan, replay))
+    shows_table = arguments.json is None or not is_stdout(arguments.json)
+    if shows_table:
+        print(plan_table(plan, replay))
     for warning in plan.warnings:
         print(one_line(f"tunenet-plan: {warning}"), file=sys.stderr)
     if arguments.json is not None:
-        with replacing(arguments.json) as partial:
-            partial.write_text(plan_json(plan, replay), "utf-8")
+        write_json(arguments.json, plan_json(plan, replay))
     if arguments.rrd is not None:
         from analysis.review.shot import write_shots
 
         with replacing(arguments.rrd) as partial:
             write_shots(plan, partial)
-        print(f"\nreview: rerun {one_line(arguments.rrd)}")
+        if shows_table:
+            print(f"\nreview: rerun {one_line(arguments.rrd)}")
     return int(plan.best is None)
 
 

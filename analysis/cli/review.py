@@ -36,7 +36,12 @@ _EXAMPLES = """\
 
 def build_parser() -> Parser:
     """The command's arguments."""
-    parser = Parser("tunenet-review", _DESCRIPTION, _EXAMPLES)
+    parser = Parser(
+        "tunenet-review",
+        _DESCRIPTION,
+        _EXAMPLES,
+        failed="a file of the campaign could not be read",
+    )
     add = parser.add_argument
     add("places", nargs="+", type=Path, metavar="CAMPAIGN", help="folder or file of the campaign")
     add("-o", "--output", type=Path, required=True, metavar="REVIEW.rrd", help="recording to write")

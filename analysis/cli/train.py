@@ -35,7 +35,7 @@ _HELD_OUT = 100
 
 def build_parser() -> Parser:
     """The command's arguments."""
-    parser = Parser("tunenet-train", _DESCRIPTION, _EXAMPLES)
+    parser = Parser("tunenet-train", _DESCRIPTION, _EXAMPLES, failed="no weights were written")
     add = parser.add_argument
     add("task", choices=EXPERIMENTS, help="what to learn to tune")
     add(

@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING
 from analysis.cli.options import check_card_place
 from analysis.cli.tune_words import build_parser
 from recorders.engine_option import in_engine
-from tunenet_logs.commandline import run
+from tunenet_logs.commandline import is_stdout, run
 from tunenet_logs.errors import NotFoundError, UsageError
 from tunenet_logs.terminal import Progress, listed
 
 if TYPE_CHECKING:
     from analysis.batch.one_log import Writing
+    from analysis.batch.run import Order
     from analysis.record import Tuning
     from analysis.selection import Selection
     from analysis.tune_options import TuneOptions
@@ -31,8 +32,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _tune(arguments: argparse.Namespace) -> int:
     from analysis.batch.found_logs import find_logs
+    from analysis.batch.result_lines import result_lines
     from analysis.batch.run import Order, run_batch
-    from analysis.batch.summary import closing, print_results, summary
+    from analysis.batch.summary import closing, print_details, print_remarks, print_table, summary
     from analysis.tune_options import ball_doubts, options_of
 
     if arguments.preview:
@@ -50,10 +52,6 @@ def _tune(arguments: argparse.Namespace) -> int:
     wants_ledger = arguments.resume or arguments.csv is not None
     if wants_ledger and arguments.output is None:
         raise UsageError("--resume and --csv are about the ledger in -o DIR; give it")
-    if arguments.csv is not None:
-        from analysis.batch.text_table import check_csv
-
-        check_csv(arguments.csv, arguments.output, found.logs, overwrite=arguments.overwrite)
     if found.left_out:
         progress.say(f"tunenet-tune: {found.left_out} files of folders are no logs; left out")
     order = Order(
@@ -64,18 +62,37 @@ def _tune(arguments: argparse.Namespace) -> int:
         arguments.output is not None and (found.are_many or wants_ledger),
         arguments.resume,
     )
+    _check_tables(arguments, order)
     stream = None
     if arguments.ray is not None:
         from analysis.batch.ray_cluster import on_ray
         from analysis.cluster import Cluster
 
         stream = partial(on_ray, Cluster(arguments.ray, arguments.jobs))
-    batch = run_batch(
-        order, progress, stream, arguments.jobs, after=partial(closing, order, arguments.csv)
-    )
-    print_results(batch.results)
-    print(summary(batch, len(found.logs)), end="")
+    after = partial(closing, order, arguments.csv)
+    with result_lines(arguments.json) as each:
+        batch = run_batch(order, progress, stream, arguments.jobs, after=after, each=each)
+    if arguments.verbose:
+        print_details(batch.results)
+    shows_table = arguments.json is None or not is_stdout(arguments.json)
+    if shows_table:
+        print_table(batch.results)
+    print_remarks(batch.results)
+    if shows_table:
+        print(summary(batch, len(found.logs)), end="")
     return int(batch.failed > 0)
+
+
+def _check_tables(arguments: argparse.Namespace, order: Order) -> None:
+    """Refuse at once a table of all logs that could not be written after the work."""
+    if arguments.csv is not None:
+        from analysis.batch.text_table import check_csv
+
+        check_csv(arguments.csv, arguments.output, order.logs, overwrite=arguments.overwrite)
+    if arguments.json is not None:
+        from analysis.batch.result_lines import check_lines
+
+        check_lines(arguments.json, order, overwrite=arguments.overwrite)
 
 
 def given_options(arguments: argparse.Namespace) -> TuneOptions:

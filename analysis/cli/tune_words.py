@@ -9,6 +9,7 @@ from analysis.cli.options import (
     arm_options,
     ball_options,
     jobs_option,
+    json_option,
     preset_option,
     ray_option,
 )
@@ -29,7 +30,7 @@ any topic, ours or not.
 Writes NAME.json (the result) and NAME.rrd (the review, for `rerun NAME.rrd`)
 beside each log, and prints a table. Of many logs (several, a folder, a pattern) with
 -o DIR it keeps DIR/ledger.parquet, a row a log, for pandas and every tool of tables,
-and DIR/ledger.rrd, all of them in one view. Exit code 1 if a log was rejected."""
+and DIR/ledger.rrd, all of them in one view."""
 
 _EXAMPLES = """\
   tunenet-tune drop.mcap
@@ -37,6 +38,7 @@ _EXAMPLES = """\
   tunenet-tune recordings/ -o tuned                (a folder with all that lies below it)
   tunenet-tune recordings/ -o tuned --resume       (what is new, or was not done)
   tunenet-tune 'runs/**/ball*.mcap' -o tuned --review-only suspect --csv tuned.csv
+  tunenet-tune drop.mcap --json - | jq .parameters.restitution
   tunenet-tune phone.mp4
   tunenet-tune phone.mp4 --preview                 (mark the ball on a page)
   tunenet-tune phone.mp4 --roi 400,0,500,1080 --start 2.5
@@ -122,10 +124,18 @@ def build_parser() -> Parser:
         "network: 0, a ball that does not bounce; 0.5 kg; without: the middle of the range)",
     )
     add("--weights", type=Path, metavar="FILE", help="weights by tunenet-train (default: shipped)")
+    json_option(parser, "for scripts: what each NAME.json holds but the curves, a line a log,")
     jobs_option(parser, "logs at a time")
     add("--overwrite", action="store_true", help="replace results of other logs")
     _batch_options(parser.add_argument_group("many logs"))
     add("--quiet", action="store_true", help="no progress bar")
+    add(
+        "-v",
+        "--verbose",
+        action="store_true",
+        help="say where what was found, how it was estimated, how long each part took, and what "
+        "each check saw",
+    )
     return parser
 
 

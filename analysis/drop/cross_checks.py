@@ -28,11 +28,16 @@ def flight_cross_check(detection: AnyDetection, estimate: Array) -> CrossCheck |
     ratio = flight_ratio(fit)
     if ratio is not None:
         margin = _AGREEMENT if detection.film is None else _AGREEMENT_IN_PICTURE
-        agrees = abs(ratio.value - ratio.fitted) < margin + 3 * ratio.sd
         # What they tell is the second impact's; the first one's is as much off, at any slope.
-        method = "durations of the first two flights"
-        seen = value * ratio.value / ratio.fitted
-        return CrossCheck(method, seen, bool(agrees), DISAGREEMENT)
+        scale = value / ratio.fitted
+        return CrossCheck.judged(
+            "durations of the first two flights",
+            scale * ratio.value,
+            value,
+            scale * (margin + 3 * ratio.sd),
+            sd=scale * ratio.sd,
+            advice=DISAGREEMENT,
+        )
     if isinstance(detection, FilmDetection):
         return None
     return _by_speeds(detection.found, fit, value)
@@ -57,8 +62,14 @@ def _by_speeds(drop: Drop, fit: BounceFit, value: float) -> CrossCheck | None:
         again = meet(clock, drop.heights_m, fall, flight, drop.noise_m)
         own = again.flight_restitution, again.flight_restitution_sd
     seen = value + own[0] - usual
-    agrees = abs(seen - value) < _AGREEMENT + 3 * own[1]
-    return CrossCheck("speeds at the first impact", seen, bool(agrees), DISAGREEMENT)
+    return CrossCheck.judged(
+        "speeds at the first impact",
+        seen,
+        value,
+        _AGREEMENT + 3 * own[1],
+        sd=own[1],
+        advice=DISAGREEMENT,
+    )
 
 
 def _between(seconds: Array, ends: tuple[float, float]) -> Indices:

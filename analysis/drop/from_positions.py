@@ -22,12 +22,12 @@ from analysis.drop.motion import simulation_fit, tuned_motion
 from analysis.drop.presets import PAPER_HEIGHT_M, PRESETS
 from analysis.drop.problem import drop_problem
 from analysis.drop.rebounds import reported_rebounds
+from analysis.drop.recorded_height import position_signals
 from analysis.drop.track_search import PositionTrack, is_something_else, moves_as_found
 from analysis.estimators.base import FitResult, Step
 from analysis.experiment import Claim
 from analysis.selection import Selection, check_start
 from recorders.simulators.balls import completed, recorded_ball
-from recorders.simulators.drop import TOPIC
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, Signal
 from tunenet_logs.errors import NotFoundError
@@ -128,29 +128,30 @@ class DropFromPositions:
 
     def review(self, stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container | None:
         """See `Experiment.review`."""
-        if tuning.detection is None:
-            return None
+        from analysis.drop.review.refused_heights import log_refused_heights
         from analysis.drop.review.views import log_drop
 
+        if tuning.detection is None:
+            return log_refused_heights(stream, tuning)
         return log_drop(stream, tuning)
 
 
 def _candidates(episode: Episode, selection: Selection) -> list[Signal]:
     """Position signals in the order in which to try them."""
     if selection.topic is not None:
-        positions = [one for one in episode.signals_of(selection.topic) if one.is_position]
+        positions = position_signals(episode.signals_of(selection.topic))
         if not positions:
             usable = {name for name, one in episode.signals.items() if one.is_position}
             known = listed(sorted({*usable, *episode.picture_topics})) or "none"
             raise NotFoundError(f"no usable topic {selection.topic}; there is: {known}")
     else:
-        positions = [one for one in episode.signals.values() if one.is_position]
+        positions = position_signals(episode.signals.values())
     if not positions:
         seen = listed(f"{one.topic} ({one.type_name or 'no type'})" for one in episode.channels)
         raise NotFoundError(
             f"no channel with the position of a ball or pictures of it; channels: {seen or 'none'}"
         )
-    return sorted(positions, key=lambda one: (one.name != TOPIC, "ball" not in one.name, one.name))
+    return positions
 
 
 def _detect_in(

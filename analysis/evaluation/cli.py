@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from analysis.cli.options import jobs_option
+from analysis.cli.options import jobs_option, json_option
 from analysis.evaluation.choices import (
     FULL_ENGINES,
     FULL_REAL,
@@ -21,7 +21,7 @@ from analysis.evaluation.choices import (
     USUAL_PAYLOAD_SECTIONS,
 )
 from analysis.evaluation.printing import EXPERIMENTS
-from tunenet_logs.commandline import Parser, run, whole
+from tunenet_logs.commandline import Parser, is_stdout, run, whole
 from tunenet_logs.errors import UsageError
 from tunenet_logs.regular_file import real_path
 from tunenet_logs.terminal import Progress, one_line
@@ -91,7 +91,9 @@ _DEFAULT_TARGETS = 100
 
 def build_parser() -> Parser:
     """The command's arguments."""
-    parser = Parser("tunenet-eval", _DESCRIPTION, _EXAMPLES)
+    parser = Parser(
+        "tunenet-eval", _DESCRIPTION, _EXAMPLES, failed="a figure could not be made or written"
+    )
     add = parser.add_argument
     add("experiment", choices=list(EXPERIMENTS), help="which experiment")
     add(
@@ -118,7 +120,7 @@ def build_parser() -> Parser:
     jobs_option(parser, "processes")
     _options_of_some(parser)
     files = parser.add_argument_group("files (replaced if they exist)")
-    files.add_argument("--json", type=Path, metavar="FILE", help="every figure, and the curves")
+    json_option(files, "every figure, and the curves,")
     files.add_argument(
         "--csv", type=Path, metavar="FILE", help="one row for each method, budget and seed, or line"
     )
@@ -187,13 +189,16 @@ def _eval(arguments: argparse.Namespace) -> int:
     if arguments.targets is None:
         arguments.targets = _TARGETS.get(arguments.experiment, _DEFAULT_TARGETS)
     blocks, writers = EXPERIMENTS[arguments.experiment](arguments, seeds, progress)
+    to_stdout = arguments.json is not None and is_stdout(arguments.json)
     for block in blocks:
-        print(block + "\n", flush=True)
+        if not to_stdout:
+            print(block + "\n", flush=True)
     for name in _FILES:
         path = getattr(arguments, name)
         if path is not None:
             writers[name](path)
-            print(f"{name}: {'rerun ' if name == 'rrd' else ''}{one_line(path)}")
+            if not to_stdout:
+                print(f"{name}: {'rerun ' if name == 'rrd' else ''}{one_line(path)}")
     return 0
 
 
@@ -223,10 +228,10 @@ def _check(arguments: argparse.Namespace) -> None:
     taken: dict[Path, str] = {}
     for name in _FILES:
         path = getattr(arguments, name)
-        if path is None:
+        if path is None or (name == "json" and is_stdout(path)):
             continue
-        if str(path) == "-":
-            raise UsageError(f"--{name} -: is no file; give the name of one")
+        if is_stdout(path):
+            raise UsageError(f"--{name} -: only --json goes to standard output; name a file")
         other = taken.setdefault(real_path(path), name)
         if other != name:
             raise UsageError(f"{path}: both --{other} and --{name} name it; give each its own")

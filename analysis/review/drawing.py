@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,7 +12,8 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from analysis.terminal_table import interval_words, quantity
+from analysis.terminal_table import quantity
+from tunenet_logs import __version__
 from tunenet_logs.arrays import Array
 
 Color = tuple[int, int, int]
@@ -26,6 +28,8 @@ SUCCESS: Color = (60, 190, 130)
 FAILURE: Color = (235, 95, 75)
 FITTED: Color = (255, 95, 165)
 """One colour for one meaning in every review; white, the most legible, is what was recorded."""
+
+IMPACT: Color = (255, 90, 90)
 
 _RAMP: tuple[Color, ...] = (
     (112, 100, 190),
@@ -58,6 +62,16 @@ def entity_of(*parts: str) -> str:
     return rr.new_entity_path([name for part in parts for name in part.split("/") if name])
 
 
+def application_id(kind: str, *shown: bytes) -> str:
+    """The name under which Rerun keeps a layout: one of its own for each review.
+
+    Rerun shows another recording of the same name in the layout that it saw first, whatever that
+    recording brings along.
+    """
+    digest = hashlib.sha256(b"\0".join((__version__.encode(), *shown))).hexdigest()[:16]
+    return f"tunenet {kind} {digest}"
+
+
 def at_seconds(seconds: Array) -> rr.TimeColumn:
     """The index of rows at these times on `LOG_TIME`, shape (T,) [s]."""
     return rr.TimeColumn(LOG_TIME, duration=seconds)
@@ -73,6 +87,11 @@ def by_iteration(count: int, first_s: float) -> list[tuple[rr.TimeColumn, range]
         (rr.TimeColumn(ITERATION, sequence=np.arange(count)), range(count)),
         (at_seconds(np.array([first_s])), range(count - 1, count)),
     ]
+
+
+def plainly(value: float) -> str:
+    """Two digits that count, without a power of ten: "5.5", "260"."""
+    return f"{float(f'{value:.2g}'):.10g}"
 
 
 def screen_radius(points: float) -> Any:
@@ -103,7 +122,7 @@ _LINES: Color = (60, 62, 70)
 _STRIPS = 12
 """Lines that fill a rectangle: so thin that its corners, round by their radius, look square."""
 
-_FIGURE_WIDTH = 0.36
+_FIGURE_WIDTH = 0.62
 """Chart heights that a figure takes up across; figures that would overlap are left out."""
 
 _FIGURE_RISE = 0.2
@@ -125,7 +144,7 @@ def chart_view(name: str, title: str, width: float = WIDTH) -> rrb.View:
         origin=f"/sheets/{name}",
         name=title,
         background=GROUND,
-        visual_bounds=rrb.VisualBounds2D(x_range=(-0.2, width + 0.12), y_range=(-1.15, 0.2)),
+        visual_bounds=rrb.VisualBounds2D(x_range=(-0.2, width + 0.12), y_range=(-1.2, 0.36)),
     )
 
 
@@ -238,7 +257,7 @@ def log_iterates(stream: rr.RecordingStream, iterates: Iterates, first_s: float)
     dots = np.column_stack([x, [y(value) for value in iterates.values]])
     every = math.ceil(_FIGURE_WIDTH * (count - 1) / (WIDTH - 2 * margin)) if count > 1 else 1
     labelled = range(count - 1, -1, -every)  # backwards, so that the result is among them
-    rows = [(y(value), f"{value:g}") for value in ticks(low, high, 4)]
+    rows = [(y(value), f"{value:g}") for value in ticks(low, high, 2)]
     marks = [(float(x[k]), iterates.names[k]) for k in labelled]
     log_grid(stream, "sheets/convergence", WIDTH, rows, marks)
     if iterates.interval95 is not None:
@@ -271,6 +290,4 @@ def log_iterates(stream: rr.RecordingStream, iterates: Iterates, first_s: float)
 def iterates_view(iterates: Iterates) -> rrb.View:
     """The parameter by iteration, the current one ringed, the result's interval as a band."""
     title = f"{quantity(iterates.parameter, iterates.unit)} by iteration"
-    if iterates.interval95 is not None:
-        title += f", band: 95 %, {interval_words(*iterates.interval95)}"
-    return chart_view("convergence", title)
+    return chart_view("convergence", title + (", band: 95 %" if iterates.interval95 else ""))

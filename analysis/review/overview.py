@@ -6,6 +6,7 @@ one sorts the table and the curves.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
+from analysis.review.drawing import application_id
 from tunenet_logs.arrays import Array
 from tunenet_logs.terminal import one_line
 
@@ -53,7 +55,8 @@ def write_overview(columns: Columns, path: Path) -> None:
     values = {name: _numbers(columns[name]) for name in names}
     orders = _orders(columns, values, len(logs))
     outliers = {name: _unlike(values[name]) for name in names}
-    recording = rr.RecordingStream("tunenet-logs overview", recording_id="overview")
+    shown = "\n".join((*names, *logs, os.fspath(path))).encode(errors="replace")
+    recording = rr.RecordingStream(application_id("overview", shown), recording_id="overview")
     memory = recording.memory_recording()  # its own file sink waits for ever on a full disk
     recording.send_blueprint(_blueprint(names, columns))
     for name in names:

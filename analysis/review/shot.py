@@ -14,7 +14,16 @@ import rerun.blueprint as rrb
 
 from analysis.planning.plan import Plan
 from analysis.planning.plan_report import ball_lines, best_lines
-from analysis.review.drawing import GROUND, WIDTH, Color, chart_view, log_grid, screen_radius, ticks
+from analysis.review.drawing import (
+    GROUND,
+    WIDTH,
+    Color,
+    application_id,
+    chart_view,
+    log_grid,
+    screen_radius,
+    ticks,
+)
 from recorders.simulators.shot.flight import STEP_S
 from tunenet_logs.arrays import Array
 from tunenet_logs.terminal import one_line
@@ -41,7 +50,7 @@ def write_shots(plan: Plan, path: Path) -> None:
     """
     shown = f"{plan.rig} {plan.ball.law}".encode() + plan.heights_m.tobytes()
     identity = hashlib.sha256(shown).hexdigest()[:16]
-    stream = rr.RecordingStream("tunenet plan bounce-shot", recording_id=identity)
+    stream = rr.RecordingStream(application_id("shot", shown), recording_id=identity)
     memory = stream.memory_recording()
     stream.send_recording_name("bounce shot")
     stream.log("shots", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)

@@ -17,7 +17,7 @@ from rerun.blueprint.components import AbsoluteTimeRange
 
 from analysis.record import Record, Tuning
 from analysis.result_files import review_name
-from analysis.review.drawing import LOG_TIME, entity_of, send_scalars
+from analysis.review.drawing import LOG_TIME, application_id, entity_of, send_scalars
 from analysis.review.pictures import log_recorded_film
 from analysis.review.verdict import VERDICT_SHARE, log_verdict
 from analysis.review.words import result_words
@@ -30,8 +30,8 @@ _MOST_CURVES = 150
 _MOST_VIEWS = 4
 """One for each unit: more would be too low to read."""
 
-_MOST_NAMES = 13
-"""Of a legend: what fits beside a view."""
+_MOST_NAMES = 24
+"""Of all legends, one over the other: what fits beside the views on a laptop's screen."""
 
 _BESIDE = 1.6
 """How much longer than the curves an axis is that has a legend beside them."""
@@ -58,26 +58,26 @@ def write_review(tuning: Tuning, record: Record, path: Path) -> None:
     name = hashlib.sha256(identity).hexdigest()[:16]
     if record.provenance is not None and record.provenance.log_sha256:
         name = review_name(record.provenance.log_sha256)
-    stream = rr.RecordingStream(f"tunenet review {tuning.task or 'log'}", recording_id=name)
-    memory = stream.memory_recording()  # Rerun's own file sink only prints that a disk is full
-    stream.send_recording_name(os.fsencode(tuning.log.name).decode(errors="replace"))
     text = result_words(
         record, tuning.preset, tuning.experiment.occasion if tuning.experiment else None
     )
-    layout = None
-    found = tuning.refused if tuning.detection is None else tuning.detection
-    if tuning.experiment is not None and found is not None:
-        layout = tuning.experiment.review(stream, tuning)
-    if layout is None:
+    its_name = application_id(tuning.task or "log", identity, text.encode(errors="replace"))
+    stream = rr.RecordingStream(its_name, recording_id=name)
+    memory = stream.memory_recording()  # Rerun's own file sink only prints that a disk is full
+    stream.send_recording_name(os.fsencode(tuning.log.name).decode(errors="replace"))
+    layout = tuning.experiment.review(stream, tuning) if tuning.experiment else None
+    if tuning.detection is None or layout is None:
         views, left_out = _log_recorded(stream, tuning)
         text += f"\n\n- {left_out} more curves are not drawn" if left_out else ""
-        layout = _recorded_layout(views, log_recorded_film(stream, tuning))
-    strip = log_verdict(stream, record)
+        if layout is None and log_recorded_film(stream, tuning):
+            views = [rrb.Spatial2DView(origin="/film", name="recorded pictures")]
+        layout = _recorded_layout(layout, views)
+    strip = log_verdict(stream, tuning, record)
     blueprint = rrb.Blueprint(
         rrb.Vertical(strip, layout, row_shares=[VERDICT_SHARE, 1 - VERDICT_SHARE]),
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
-        _time_panel(record, has_film=found is not None and tuning.detection is None),
+        _time_panel(record, has_film=tuning.refused is not None and tuning.detection is None),
         auto_views=False,
         auto_layout=False,
     )
@@ -122,13 +122,15 @@ def _log_recorded(stream: rr.RecordingStream, tuning: Tuning) -> tuple[list[rrb.
         send_scalars(stream, entity, signal.seconds, signal.values[:, index])
         by_unit.setdefault(signal.unit, []).append(entity)
     last_s = max((float(one.seconds[-1]) for one in signals.values()), default=0.0)
-    views = [_recorded_view(unit, some, last_s) for unit, some in by_unit.items()]
-    return views[:_MOST_VIEWS], max(0, len(curves) - _MOST_CURVES)
+    shown = list(by_unit.items())[:_MOST_VIEWS]
+    names = _MOST_NAMES // max(len(shown), 1)
+    views = [_recorded_view(unit, some, last_s, names) for unit, some in shown]
+    return views, max(0, len(curves) - _MOST_CURVES)
 
 
-def _recorded_view(unit: str, entities: list[str], last_s: float) -> rrb.View:
+def _recorded_view(unit: str, entities: list[str], last_s: float, most_names: int) -> rrb.View:
     """Curves of one unit; their legend, where it fits, stands beside them."""
-    has_legend = len(entities) <= _MOST_NAMES
+    has_legend = len(entities) <= most_names
     begin, end = 0.0, max(last_s, 1e-3) * (_BESIDE if has_legend else 1.0)
     seconds = rr.TimeRange(
         start=rrb.TimeRangeBoundary.absolute(seconds=begin),
@@ -143,10 +145,11 @@ def _recorded_view(unit: str, entities: list[str], last_s: float) -> rrb.View:
     )
 
 
-def _recorded_layout(views: list[rrb.View], filmed: bool) -> rrb.Container:
+def _recorded_layout(evidence: rrb.Container | None, views: list[rrb.View]) -> rrb.Container:
+    """What was looked at over all that was recorded, beside the words."""
     result = rrb.TextDocumentView(origin="/result", name="result")
-    if filmed:
-        views = [rrb.Spatial2DView(origin="/film", name="recorded pictures")]
-    if not views:
+    parts: list[rrb.View | rrb.Container] = [] if evidence is None else [evidence]
+    parts += [rrb.Vertical(*views)] if views else []
+    if not parts:
         return rrb.Horizontal(result)
-    return rrb.Horizontal(rrb.Vertical(*views), result, column_shares=[3, 2])
+    return rrb.Horizontal(rrb.Vertical(*parts), result, column_shares=[3, 2])

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import os
+from datetime import UTC, datetime
+
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
 from analysis.checks import Verdict
-from analysis.record import Record
+from analysis.record import Record, Tuning
 from analysis.review.drawing import FAILURE, SUCCESS, Color
+from tunenet_logs.terminal import short_name
 
 VERDICT_COLORS: dict[Verdict, Color] = {
     "ok": SUCCESS,
@@ -31,8 +35,13 @@ _FONT = 2
 _MOST_LETTERS = 90
 """What there is room for."""
 
+_MOST_OF_A_NAME = 60
 
-def log_verdict(stream: rr.RecordingStream, record: Record) -> rrb.View:
+_FIRST_WALL_NS = 10**17
+"""Stamps from 1973 on are a wall clock's; smaller ones count from a start."""
+
+
+def log_verdict(stream: rr.RecordingStream, tuning: Tuning, record: Record) -> rrb.View:
     """Send the strip; its view. Static, so that it stays on any timeline."""
     import cv2
 
@@ -50,10 +59,26 @@ def log_verdict(stream: rr.RecordingStream, record: Record) -> rrb.View:
     stream.log("verdict", image, static=True)
     return rrb.Spatial2DView(
         origin="/verdict",
-        name=f"verdict: {record.verdict}",
+        name=_title(tuning, record),
         background=color,
         visual_bounds=rrb.VisualBounds2D(x_range=(0, width), y_range=(0, height)),
     )
+
+
+def _title(tuning: Tuning, record: Record) -> str:
+    """Which log this is, of which ball, and when it was recorded."""
+    name = short_name(os.fsencode(tuning.log.name).decode(errors="replace"), _MOST_OF_A_NAME)
+    parts = [name or "log"]
+    if record.ball:
+        parts.append(short_name(record.ball, _MOST_OF_A_NAME))
+    signals = tuning.episode.signals.values() if tuning.episode else ()
+    starts_ns = [int(one.stamps_ns[0]) for one in signals if len(one.stamps_ns)]
+    found = tuning.detection or tuning.refused
+    starts_ns += [found.start_ns] if found is not None else []
+    if starts_ns and min(starts_ns) > _FIRST_WALL_NS:
+        began = datetime.fromtimestamp(min(starts_ns) // 10**9, UTC)
+        parts.append(f"recorded {began:%Y-%m-%d %H:%M} UTC")
+    return f"{', '.join(parts)}: {record.verdict}"
 
 
 def _beside(record: Record) -> str:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
-from analysis.record import Rebound, Record
+from analysis.record import Estimate, Rebound, Record
 from analysis.terminal_table import (
+    cross_words,
     equivalent_words,
     extra_words,
     interval_mark,
     interval_words,
     markdown_table,
+    quantity,
 )
 from tunenet_logs.terminal import one_line
 
@@ -34,7 +37,7 @@ def result_words(record: Record, preset: str, occasion: str | None) -> str:
     cross = record.cross_check
     if cross is not None and record.estimates:
         agrees = "agrees" if cross.agrees else "**disagrees**"
-        lines.append(f"cross-check {agrees}: {cross.value:.4f} by {cross.method}")
+        lines.append(f"cross-check {agrees}: {cross_words(cross)}")
     lines += [*_motion(record), *_bounces(record.rebounds), *_iterations(record, preset)]
     passed = [check for check in record.checks if check.passed]
     if passed:
@@ -78,16 +81,24 @@ def _parameters(record: Record) -> list[str]:
         if known.interval95 is not None:
             low, high = known.interval95
             ends = interval_words(low, high)  # pyright: ignore[reportArgumentType]
-        unit = "" if known.unit == "1" else known.unit
-        rows.append((known.name, f"{known.value:.4f}", ends, unit))
-    lines = [markdown_table(("parameter", "value", f"95 %{interval_mark(record)}", "unit"), rows)]
+        rows.append((_title(known), f"{known.value:.4f}", ends))
+    lines = [markdown_table(("parameter", "value", f"95 %{interval_mark(record)}"), rows)]
     meanings = [
-        f"- {known.name}: {_MEANINGS[known.name]}{_at(record) if known is single[0] else ''}"
+        f"- {known.name.replace('_', ' ')}: {_MEANINGS[known.name]}"
+        + (_at(record) if known is single[0] else "")
         for known in single
         if known.name in _MEANINGS and record.physical
     ]
     lines += ["\n".join(meanings)] if meanings else []
-    return [*(lines if rows else []), *map(extra_words, several)]
+    return [
+        *(lines if rows else []),
+        *(extra_words(replace(known, name=known.name.replace("_", " "))) for known in several),
+    ]
+
+
+def _title(known: Estimate) -> str:
+    """A parameter as a heading: "payload mass [kg]"."""
+    return quantity(known.name.replace("_", " "), known.unit)
 
 
 def _at(record: Record) -> str:
@@ -117,7 +128,7 @@ def _bounces(bounces: Sequence[Rebound]) -> list[str]:
         return []
     rows = []
     for number, bounce in enumerate(bounces[:_MOST_BOUNCES], start=1):
-        ends = "-" if bounce.interval95 is None else "{:.3f} to {:.3f}".format(*bounce.interval95)
+        ends = "-" if bounce.interval95 is None else interval_words(*bounce.interval95)
         speed_m_s = bounce.impact_speed_m_s
         speed = "-" if speed_m_s is None else f"{speed_m_s:.2f} m/s"
         rows.append((str(number), f"{bounce.restitution:.3f}", ends, speed))
@@ -136,7 +147,12 @@ def _iterations(record: Record, preset: str) -> list[str]:
     heads = [str(k) for k, _ in shown]
     if record.is_fitted:
         heads[-1] = "refined"
+    units = {known.name: known.unit for known in record.estimates}
     rows = [
-        (name, *(f"{values[name]:.4f}" for _, values in shown)) for name in record.iterations[0]
+        (
+            quantity(name.replace("_", " "), units.get(name, "1")),
+            *(f"{values[name]:.4f}" for _, values in shown),
+        )
+        for name in record.iterations[0]
     ]
     return [said, markdown_table(("k", *heads), rows)]

@@ -18,6 +18,7 @@ from tunenet_logs.episode import Episode, Frame
 from tunenet_logs.errors import LogError, NotFoundError, UsageError
 from tunenet_logs.late_stamps import ARRIVALS, STAMPS_NOTE, correct_late_stamps
 from tunenet_logs.pixels import mean_of_blocks
+from tunenet_logs.progress import told
 
 _MOST_SAMPLES = 64
 """Pictures for the background, in memory at once: enough that a ball, a hand or a person covers no
@@ -124,7 +125,8 @@ class Pictures:
         stamps: list[int] = []
         samples = _EvenSamples()
         sizes: Counter[tuple[int, int]] = Counter()
-        for index, frame in self._selected():
+        total = sum(one.messages for one in self._episode.channels if one.topic == self._topic)
+        for index, frame in told(self._selected(), "decoding the pictures", total):
             try:
                 size = frame.size_px()
                 if usual is None:

@@ -25,6 +25,7 @@ from analysis.tracking.repeats import change_around, new_pictures, repeated
 from analysis.tracking.rolling import refuse_roll
 from tunenet_logs.arrays import Array, Picture
 from tunenet_logs.errors import NotFoundError
+from tunenet_logs.progress import told
 
 _FEW_FRAMES = 5
 """Pictures of a flight that is searched for once more, against two backgrounds: fewer show it."""
@@ -105,12 +106,14 @@ def track_ball(pictures: Pictures, hints: Hints | None = None) -> Track:
 
     if hints.hsv is not None:
         low, high = (np.array(end) for end in hints.hsv)
-        blobs = [hsv_blobs(picture, low, high, allowed) for picture in pictures]
+        shown = told(pictures, "finding the ball's colour", len(stamps_ns))
+        blobs = [hsv_blobs(picture, low, high, allowed) for picture in shown]
         table = Candidates.of(seconds, blobs)
         return _track(pictures, table, _arc_of(table))
 
     def moving(background: Background) -> Candidates:
-        blobs = [moving_blobs(picture, background, allowed) for picture in pictures]
+        shown = told(pictures, "finding what moves", len(stamps_ns))
+        blobs = [moving_blobs(picture, background, allowed) for picture in shown]
         table = Candidates.of(seconds, blobs)
         if hints.ball_at is not None:
             return _only_like(table, pictures, hints.ball_at)
@@ -282,7 +285,7 @@ def _redetect(
     blobs: list[Blobs] = []
     changes = np.full((len(before_px), 2), np.nan)
     before: Picture | None = None
-    for number, picture in enumerate(pictures):
+    for number, picture in enumerate(told(pictures, "following the ball", len(before_px))):
         blobs.append(detector.find(picture, before_px[number], still_px[number]))
         if before is not None:
             changes[number] = change_around(before, picture, blobs[-1])

@@ -1,4 +1,4 @@
-"""The Python that a document shows runs as it stands there, on files under its names."""
+"""The Python that a document shows runs as it stands there, on files of the names that it uses."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from analysis.review.drawing import WIDTH, chart_view, log_grid, screen_radius, 
 _LEAST_SPAN = 0.04
 """Of restitution: less would make noise look like a slope."""
 
-_FIGURE_WIDTH = 0.32
+_FIGURE_WIDTH = 0.55
 """Chart heights that a figure takes up across; figures that would overlap are left out."""
 
 _FIGURE_RISE = 0.2

@@ -12,7 +12,7 @@ from analysis.drop.detection import FilmDetection
 from analysis.drop.film import FilmedDrop
 from analysis.drop.review.review_data import ReviewData, begin_s
 from analysis.record import Tuning
-from analysis.review.drawing import OBSERVED, Color, at_seconds, screen_radius
+from analysis.review.drawing import IMPACT, OBSERVED, Color, at_seconds, screen_radius
 from analysis.review.pictures import frames_to_show, reduced, send_pictures
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Frame
@@ -32,8 +32,6 @@ _MOST_BYTES = 48 * 1024 * 1024
 
 _NARROW = 0.6
 """Width over height of a view that has no room for a longer name."""
-
-_IMPACT: Color = (255, 90, 90)
 
 _FEWEST = 4
 """Samples of a flight, at least, from which its own speed sideways is fitted."""
@@ -162,10 +160,10 @@ def _log_path(stream: rr.RecordingStream, film: FilmedDrop, data: ReviewData) ->
     stream.log("film/path", line, static=True)
     impacts = data.impacts_s
     positions = film_positions(film, impacts, np.zeros(len(impacts)), impacts) + 0.5
-    marks = rr.Points2D(positions, colors=[_IMPACT], radii=screen_radius(2.5), draw_order=7.0)
+    marks = rr.Points2D(positions, colors=[IMPACT], radii=screen_radius(2.5), draw_order=7.0)
     stream.log("film/impacts", marks, static=True)
     latest = rr.Points2D.from_fields(
-        colors=[_IMPACT], radii=screen_radius(4.0), show_labels=True, draw_order=14.0
+        colors=[IMPACT], radii=screen_radius(4.0), show_labels=True, draw_order=14.0
     )
     stream.log("film/impact", latest, static=True)
     names = [f"bounce {k + 1}" for k in range(len(impacts))]

@@ -13,11 +13,10 @@ from analysis.drop.detection import FilmDetection
 from analysis.drop.film_search import film_impacts
 from analysis.drop.review.film import log_balls, log_pictures
 from analysis.record import Tuning
-from analysis.review.drawing import OBSERVED, Color, screen_radius, send_scalars
+from analysis.review.drawing import IMPACT, OBSERVED, Color, screen_radius, send_scalars
 from analysis.statistics import noise_of
 from tunenet_logs.arrays import Array
 
-_IMPACT: Color = (255, 90, 90)
 _TRACK: Color = (120, 170, 255)
 
 _FEWEST = 12
@@ -28,7 +27,9 @@ _LEAST_NOISE_PX = 0.1
 
 def log_refused(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container | None:
     """Send pictures, track and height in the picture; None where the ball is nowhere."""
-    found: FilmDetection = tuning.refused
+    found: FilmDetection | None = tuning.refused
+    if found is None:
+        return None
     track = found.track
     known = np.isfinite(track.places_px).all(axis=1)
     if not known.any():
@@ -51,7 +52,7 @@ def log_refused(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container | N
     high_px = _heights_px(track.gravity_px, places_px)
     impacts = _impacts(seconds, high_px)
     marks = rr.Points2D(
-        places_px[impacts] + 0.5, colors=[_IMPACT], radii=screen_radius(3.5), draw_order=7.0
+        places_px[impacts] + 0.5, colors=[IMPACT], radii=screen_radius(3.5), draw_order=7.0
     )
     stream.log("film/impacts", marks, static=True)
     size = 0.5 * max(track.size_px)
@@ -63,11 +64,8 @@ def log_refused(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container | N
             x_range=(float(low[0]), float(high[0])), y_range=(float(low[1]), float(high[1]))
         ),
     )
-    result = rrb.TextDocumentView(origin="/result", name="result")
     heights = _log_heights(stream, seconds, high_px, impacts)
-    return rrb.Horizontal(
-        rrb.Vertical(video, heights, row_shares=[3, 2]), result, column_shares=[3, 2]
-    )
+    return rrb.Vertical(video, heights, row_shares=[3, 2])
 
 
 def _without_gaps(places_px: Array) -> list[Array]:
@@ -102,12 +100,12 @@ def _log_heights(
     send_scalars(stream, "height/observed", seconds, high_px)
     if impacts:
         mark = rr.SeriesPoints(
-            colors=[_IMPACT], names=["impact?"], markers=["diamond"], marker_sizes=[6.0]
+            colors=[IMPACT], names=["impact?"], markers=["diamond"], marker_sizes=[6.0]
         )
         stream.log("height/impact", mark, static=True)
         send_scalars(stream, "height/impact", seconds[impacts], high_px[impacts])
     return rrb.TimeSeriesView(
         origin="/height",
-        name="height in the picture [px]: where it falls, and what looks like an impact (red)",
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
+        name="height in the picture [px], red: what looks like an impact",
+        plot_legend=rrb.PlotLegend(visible=False),
     )

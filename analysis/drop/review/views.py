@@ -16,6 +16,7 @@ from analysis.drop.review.review_data import ReviewData, review_data
 from analysis.record import Tuning
 from analysis.review.drawing import (
     GROUND,
+    IMPACT,
     ITERATION,
     LOG_TIME,
     OBSERVED,
@@ -27,11 +28,12 @@ from analysis.review.drawing import (
     iterates_view,
     log_grid,
     log_iterates,
+    plainly,
     screen_radius,
     send_scalars,
     ticks,
 )
-from analysis.terminal_table import markdown_table
+from analysis.terminal_table import markdown_table, quantity
 
 _MANY = 200
 """Samples above which dots would hide the lines."""
@@ -42,16 +44,12 @@ _MM = 1000.0
 _USUAL, _HEADROOM = 0.98, 1.3
 """Quantile of the result's residuals that their axis must show, and room around it, as a factor."""
 
-_ROUND = (1.0, 2.0, 5.0)
-"""Digits of an axis's ends, so that its ticks are round."""
+_ROUND = (1.0, 2.0, 3.0)
+"""Digits of an axis's ends: Rerun writes multiples of powers of ten, and of more than six none."""
 
-_MARGIN = 1.08
+_MARGIN = 1.15
 """Room beyond an axis's ends, so that these have their figures too."""
 
-_BESIDE = 1.3
-"""How much longer than the curves their axis is, so that the legend stands beside them."""
-
-_IMPACT: Color = (255, 90, 90)
 _LIMIT: Color = (190, 70, 70)
 _TABLE: Color = (70, 70, 78)
 
@@ -80,7 +78,7 @@ def log_drop(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
         span=(0.0, 1.0),
         interval95=data.interval95,
     )
-    height_view, residual_view = _log_plots(stream, data, has_legend=tuning.detection.film is None)
+    height_view, residual_view = _log_plots(stream, data)
     curves = rrb.Vertical(
         _log_scene(stream, data), height_view, residual_view, row_shares=[4, 4, 3]
     )
@@ -88,35 +86,29 @@ def log_drop(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
     log_iterates(stream, iterates, float(data.observed.seconds[0]))
     if data.bounces:
         log_bounces(stream, data)
-    # A view is shown in one place only, so each tab has its own of the charts that both show.
-    played, scrubbed = (
-        [iterates_view(iterates), *([bounce_view(data)] if data.bounces else [])] for _ in range(2)
-    )
+    charts = [iterates_view(iterates), *([bounce_view(data)] if data.bounces else [])]
     result = rrb.TextDocumentView(origin="/result", name="result")
-    words = rrb.Vertical(result, *played, row_shares=[5, *[2.6] * len(played)])
     name = f"overlay (timeline {LOG_TIME})"
     if tuning.detection.film is None:
-        overlay = rrb.Horizontal(curves, words, column_shares=[3, 2], name=name)
+        overlay = rrb.Horizontal(curves, result, column_shares=[3, 2], name=name)
     else:
         video, aspect = log_film(stream, tuning, data)
         share = min(max(3 * aspect, 1.2), 3.5)
-        overlay = rrb.Horizontal(video, curves, words, column_shares=[share, 3, 3], name=name)
+        overlay = rrb.Horizontal(video, curves, result, column_shares=[share, 3, 3], name=name)
     step = rrb.TextDocumentView(origin="/step", name="iteration")
     scrub = rrb.Horizontal(
         height_chart,
-        rrb.Vertical(step, *scrubbed),
-        column_shares=[5, 3],
+        rrb.Vertical(step, *charts, row_shares=[3.6, *[2.8] * len(charts)]),
+        column_shares=[5, 4],
         name=f"scrub (timeline {ITERATION})",
     )
     return rrb.Tabs(overlay, scrub, active_tab=0)
 
 
-def _log_plots(
-    stream: rr.RecordingStream, data: ReviewData, *, has_legend: bool
-) -> tuple[rrb.View, rrb.View]:
+def _log_plots(stream: rr.RecordingStream, data: ReviewData) -> tuple[rrb.View, rrb.View]:
     """Observed dots under the lines of all iterations, and the residuals, over the log's time.
 
-    Beside a video there is no room for a legend; the balls in 3D have the same colours.
+    The title is the legend: one in the plot would hide curves on a small screen.
     """
     for k, (curve, residual) in enumerate(zip(data.simulated, data.residuals, strict=True)):
         style = rr.SeriesLines(
@@ -134,31 +126,30 @@ def _log_plots(
     stream.log("height/observed", points, static=True)
     send_scalars(stream, "height/observed", data.observed.seconds, data.observed.heights_m)
     mark = rr.SeriesPoints(
-        colors=[_IMPACT], names=["impacts"], markers=["diamond"], marker_sizes=[6.0]
+        colors=[IMPACT], names=["impacts"], markers=["diamond"], marker_sizes=[6.0]
     )
     stream.log("height/impact", mark, static=True)
     send_scalars(stream, "height/impact", data.impacts_s, np.zeros(len(data.impacts_s)))
     height_m = data.drop_height_m
-    first_s, beside = float(data.observed.seconds[0]), _BESIDE if has_legend else 1.0
     shown = rrb.TimeAxis(
         view_range=rr.TimeRange(
-            start=rrb.TimeRangeBoundary.absolute(seconds=first_s),
-            end=rrb.TimeRangeBoundary.absolute(seconds=first_s + beside * (data.seen_s - first_s)),
+            start=rrb.TimeRangeBoundary.absolute(seconds=float(data.observed.seconds[0])),
+            end=rrb.TimeRangeBoundary.absolute(seconds=data.seen_s),
         )
     )
     height_view = rrb.TimeSeriesView(
         origin="/height",
-        name="height above the table [m]",
+        name="height [m]: observed white, iterations cold to warm",
         axis_x=shown,
         axis_y=rrb.ScalarAxis(range=(-0.05 * height_m, 1.1 * height_m)),
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=has_legend),
+        plot_legend=rrb.PlotLegend(visible=False),
     )
     limit_mm = _MM * MOST_EXCESS_PERCENT / 100 * height_m
     _log_limit(stream, data, limit_mm)
     reach_mm = _reach_mm(data, limit_mm)
     residual_view = rrb.TimeSeriesView(
         origin="/residual",
-        name=f"residual: simulated - observed [mm], red ±{limit_mm:.2g}: {MOST_EXCESS_PERCENT:g} %",
+        name=f"simulated - observed [mm], red: ±{plainly(limit_mm)} is {MOST_EXCESS_PERCENT:g} %",
         axis_x=shown,
         axis_y=rrb.ScalarAxis(range=(-_MARGIN * reach_mm, _MARGIN * reach_mm)),
         plot_legend=rrb.PlotLegend(visible=False),
@@ -192,7 +183,9 @@ def _log_scene(stream: rr.RecordingStream, data: ReviewData) -> rrb.View:
     curves = [data.observed, *data.simulated]
     height_m, radius = data.drop_height_m, _BALL * data.drop_height_m
     across = (np.arange(len(curves)) - (len(curves) - 1) / 2) * _PITCH * radius
-    across[0] -= _PITCH / 3 * radius  # the observed ball stands apart
+    across[[0, -1]] += (
+        np.array([-0.4, 0.4]) * _PITCH * radius
+    )  # what was seen and the result stand apart
     half, thick = 2.5 * radius - across[0], 0.2 * radius
     stream.log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     table = rr.Boxes3D(
@@ -202,9 +195,14 @@ def _log_scene(stream: rr.RecordingStream, data: ReviewData) -> rrb.View:
         fill_mode="solid",
     )
     stream.log("scene/table", table, static=True)
+    # Numbers alone: longer names would overlap on a small screen.
     labels = rr.Points3D(
-        [[x, -3.2 * radius, -1.2 * radius] for x in across],
-        labels=[curve.name for curve in curves],
+        [[x, -3.2 * radius, 0] for x in across],
+        labels=[
+            "seen",
+            *(curve.name.removeprefix("k=") for curve in data.simulated[:-1]),
+            "result",
+        ],
         colors=[curve.color for curve in curves],
         radii=screen_radius(0.1),
         show_labels=True,
@@ -223,12 +221,12 @@ def _log_scene(stream: rr.RecordingStream, data: ReviewData) -> rrb.View:
         stream.send_columns(entity, indexes=[at_seconds(data.observed.seconds)], columns=columns)
     return rrb.Spatial3DView(
         origin="/scene",
-        name="observed ball beside each iteration's",
+        name="the ball as seen, and of each iteration",
         background=GROUND,
         line_grid=False,
         eye_controls=rrb.EyeControls3D(  # from where the whole drop fills the view
             position=(0.0, -1.42 * height_m, 0.62 * height_m),
-            look_target=(0.0, 0.0, 0.48 * height_m),
+            look_target=(0.0, 0.0, 0.42 * height_m),
             eye_up=(0.0, 0.0, 1.0),
         ),
     )
@@ -272,8 +270,9 @@ def _step_words(k: int, data: ReviewData) -> str:
     curve = data.residuals[k]
     inside = (curve.seconds >= data.release_s) & (curve.seconds <= data.seen_s)
     rms_mm = _MM * float(np.sqrt(np.mean(curve.heights_m[inside] ** 2)))
+    units = {"drag": "1/m"}
     rows = [
-        (name, f"**{value:.4f}**" + (" /m" if name == "drag" else ""))
+        (quantity(name.replace("_", " "), units.get(name, "1")), f"**{value:.4f}**")
         for name, value in curve.values.items()
     ]
     return "\n\n".join(

@@ -167,5 +167,11 @@ def ratio_cross_check(heard: HeardBall, value: float) -> CrossCheck | None:
     weights = sds**-2 / np.sum(sds**-2)
     seen = value * float(weights @ each)
     sd = value * float(sds[best])
-    agrees = abs(seen - value) < _AGREEMENT + 3 * sd
-    return CrossCheck("ratios of the flights' durations", seen, bool(agrees), DISAGREEMENT)
+    return CrossCheck.judged(
+        "ratios of the flights' durations",
+        seen,
+        value,
+        _AGREEMENT + 3 * sd,
+        sd=sd,
+        advice=DISAGREEMENT,
+    )

@@ -19,7 +19,15 @@ from analysis.review.campaign.lanes import lane_view, log_lanes
 from analysis.review.campaign.overlay import overlay_view
 from analysis.review.campaign.times import ATTEMPT, slots_of
 from analysis.review.campaign.words import campaign_words
+from analysis.review.drawing import application_id
 from tunenet_logs.regular_file import real_path
+from tunenet_logs.terminal import short_name
+
+_LANES_SHARE = 0.36
+"""Of a tab's height: all lanes are in view on a small screen too."""
+
+_MOST_LETTERS = 40
+"""Of a campaign's name, in the titles of its views."""
 
 
 def write_campaign(campaign: Campaign, path: Path) -> None:
@@ -31,7 +39,7 @@ def write_campaign(campaign: Campaign, path: Path) -> None:
     words = campaign_words(campaign)
     shown = os.fsencode(real_path(path)) + words.encode()
     identity = hashlib.sha256(shown).hexdigest()[:16]
-    stream = rr.RecordingStream("tunenet review campaign", recording_id=identity)
+    stream = rr.RecordingStream(application_id("campaign", shown), recording_id=identity)
     memory = stream.memory_recording()
     stream.send_recording_name(campaign.name)
     slots = slots_of(campaign.attempts)
@@ -43,7 +51,9 @@ def write_campaign(campaign: Campaign, path: Path) -> None:
     ]
     log_attempts(stream, slots)
     is_filmed = any(drop.film for attempt in campaign.attempts for drop in attempt.drops)
-    stream.send_blueprint(_blueprint(charts, is_filmed=is_filmed))
+    stream.send_blueprint(
+        _blueprint(short_name(campaign.name, _MOST_LETTERS), charts, is_filmed=is_filmed)
+    )
     stream.log("summary", rr.TextDocument(words, media_type="text/markdown"), static=True)
     stream.flush()
     with replacing(path) as partial:
@@ -51,19 +61,18 @@ def write_campaign(campaign: Campaign, path: Path) -> None:
     stream.disconnect()
 
 
-def _blueprint(charts: list[rrb.View], *, is_filmed: bool) -> rrb.Blueprint:
-    summary = rrb.TextDocumentView(origin="/summary", name="the campaign")
+def _blueprint(name: str, charts: list[rrb.View], *, is_filmed: bool) -> rrb.Blueprint:
+    summary = rrb.TextDocumentView(origin="/summary", name=f"{name}: all figures")
     overview = rrb.Vertical(
-        lane_view("the attempts: a click goes to one"),
+        lane_view(f"{name}: the attempts (a click goes to one; the next tab shows it)"),
         rrb.Horizontal(*charts),
-        _attempt(is_filmed=is_filmed),
-        row_shares=[2.7, 3, 3.1],
+        row_shares=[_LANES_SHARE, 1 - _LANES_SHARE],
         name="overview",
     )
     attempt = rrb.Vertical(
-        lane_view("the attempts"),
+        lane_view(f"{name}: the attempts (a click goes to one)"),
         _attempt(is_filmed=is_filmed),
-        row_shares=[2.7, 6.1],
+        row_shares=[_LANES_SHARE, 1 - _LANES_SHARE],
         name="attempt",
     )
     return rrb.Blueprint(

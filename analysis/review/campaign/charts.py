@@ -23,13 +23,13 @@ from analysis.review.drawing import (
 )
 from tunenet_logs.terminal import short_name
 
-_WIDTH, _NAMES, _FIGURES = 1.25, 0.6, 0.85
+_WIDTH, _NAMES, _FIGURES = 0.85, 0.42, 0.56
 """Of the chart in its heights, of the names left of it, and of the figures right of it."""
 
-_HANG = 0.06
+_HANG = 0.03
 """Chart heights: half a line, by which Rerun hangs a label from its point."""
 
-_MOST_LETTERS = 22
+_MOST_LETTERS = 15
 """Of a name, as many as fit left of the chart."""
 
 _TUNED: Color = (255, 165, 40)

@@ -1,4 +1,4 @@
-"""The lanes of a campaign: what was dropped, tuned and shot at each attempt, and how it ended."""
+"""The lanes of a campaign: what was dropped and tuned at each attempt, and how its shot ended."""
 
 from __future__ import annotations
 
@@ -25,7 +25,6 @@ _BALLS: tuple[Color, ...] = (
 _AMBER: Color = (225, 165, 50)
 _STATES: dict[str, Color] = {
     "drop": (66, 140, 220),
-    "drop again": (120, 120, 220),
     "doubtful drop": _AMBER,
     "rejected drop": FAILURE,
     "no drop": MUTED,
@@ -33,23 +32,40 @@ _STATES: dict[str, Color] = {
     "not tuned": MUTED,
     "shot": (160, 120, 220),
     "given up": _AMBER,
-    "not shot": MUTED,
     "success": SUCCESS,
     "failure": FAILURE,
     "not told": MUTED,
 }
-LANES = ("1_ball", "2_drop", "3_tuning", "4_shot", "5_outcome")
-"""Their names are what is written over them."""
+BALL, DROP, RESTITUTION, SHOT = LANES = ("ball", "drop", "restitution", "shot")
+"""What Rerun writes over them, after a slash; it sorts them by the alphabet."""
+
+_SHADE = 0.78
+"""Of its colour that a state has in every second attempt: so that neighbours are told apart."""
 
 
 class _LaneChange(NamedTuple):
-    """From when on a lane is in a state."""
+    """From when on a lane is in a state.
+
+    Attributes:
+        lane: its name.
+        state: in words; what is drawn.
+        kind: what its colour is of.
+        attempt: its number.
+        film_s: where it begins on `FILM`.
+        wall_ns: where it begins on `WALL`; None where that is not known.
+    """
 
     lane: str
     state: str
+    kind: str
     attempt: int
     film_s: float
     wall_ns: int | None
+
+    @property
+    def value(self) -> str:
+        """Its own in each attempt: Rerun draws equal neighbours as one."""
+        return f"attempt {self.attempt}: {self.state}"
 
 
 def log_lanes(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
@@ -57,25 +73,35 @@ def log_lanes(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
     changes = [change for slot in slots for change in _changes(slot)]
     for lane in LANES:
         own = [change for change in changes if change.lane == lane]
-        colors = _ball_colors(own) if lane == LANES[0] else _STATES
-        style = rr.StateConfiguration(
-            values=list(colors), labels=list(colors), colors=list(colors.values())
-        )
-        stream.log(lane, style, static=True)
-        # Of an attempt's several drops the last counts.
-        last = {change.attempt: change.state for change in own}
+        _send_style(stream, lane, own)
+        # Of several changes in an attempt the last counts.
+        last = {change.attempt: change.value for change in own}
         ends = {**last, slots[-1].attempt.number + 1: None}
         _send(stream, lane, rr.TimeColumn(ATTEMPT, sequence=list(ends)), list(ends.values()))
         played: dict[float, str | None] = {slot.start_s: None for slot in slots}  # not yet known
-        played |= {change.film_s: change.state for change in own}
+        played |= {change.film_s: change.value for change in own}
         played[slots[-1].end_s] = None
         _send(stream, lane, rr.TimeColumn(FILM, duration=list(played)), list(played.values()))
         clock: dict[int, str | None] = {
             slot.begin_ns: None for slot in slots if slot.begin_ns is not None
         }
-        clock |= {change.wall_ns: change.state for change in own if change.wall_ns is not None}
+        clock |= {change.wall_ns: change.value for change in own if change.wall_ns is not None}
         if clock:
             _send(stream, lane, wall_column(list(clock)), list(clock.values()))
+
+
+def _send_style(stream: rr.RecordingStream, lane: str, changes: Sequence[_LaneChange]) -> None:
+    colors = _ball_colors(changes) if lane == BALL else _STATES
+    known = {change.value: change for change in changes}
+    style = rr.StateConfiguration(
+        values=list(known),
+        labels=[change.state for change in known.values()],
+        colors=[
+            mixed(colors[change.kind], 1.0 if change.attempt % 2 else _SHADE)
+            for change in known.values()
+        ],
+    )
+    stream.log(lane, style, static=True)
 
 
 def lane_view(name: str) -> rrb.View:
@@ -85,27 +111,28 @@ def lane_view(name: str) -> rrb.View:
 
 def _ball_colors(changes: Sequence[_LaneChange]) -> dict[str, Color]:
     """One for each ball, none beside one like it."""
-    balls = list(dict.fromkeys(change.state for change in changes))
+    balls = list(dict.fromkeys(change.kind for change in changes))
     return {ball: mixed(_BALLS[index % len(_BALLS)], 0.75) for index, ball in enumerate(balls)}
 
 
 def _changes(slot: Slot) -> Iterator[_LaneChange]:
-    number, outcome = slot.attempt.number, slot.attempt.outcome
-    begin_ns, end_ns = slot.begin_ns, slot.end_ns
-    yield _LaneChange(LANES[0], one_line(slot.attempt.ball), number, slot.start_s, begin_ns)
+    attempt, outcome = slot.attempt, slot.attempt.outcome
+    number, begin_ns, end_ns = attempt.number, slot.begin_ns, slot.end_ns
+    ball = one_line(attempt.ball)
+    yield _LaneChange(BALL, f"{ball}, {attempt.of_ball}", ball, number, slot.start_s, begin_ns)
     for index, shown in enumerate(slot.drops):
-        state = shown.drop.state
-        if index and state == "drop":
-            state = "drop again"
-        yield _LaneChange(LANES[1], state, number, shown.start_s, slot.drop_ns(shown))
+        kind = shown.drop.state
+        state = f"{kind} again" if index else kind
+        yield _LaneChange(DROP, state, kind, number, shown.start_s, slot.drop_ns(shown))
     if not slot.drops:
-        yield _LaneChange(LANES[1], "no drop", number, slot.start_s, begin_ns)
-    tuned = "tuned" if slot.attempt.value is not None else "not tuned"
-    yield _LaneChange(LANES[2], tuned, number, slot.tuned_s, slot.drop_ns(slot.used))
-    shot = "not shot" if outcome is None else "shot" if slot.attempt.was_shot else "given up"
-    yield _LaneChange(LANES[3], shot, number, slot.shot_s, end_ns)
-    word = "not told" if outcome is None else outcome.word
-    yield _LaneChange(LANES[4], word, number, slot.outcome_s, end_ns)
+        yield _LaneChange(DROP, "no drop", "no drop", number, slot.start_s, begin_ns)
+    kind = "tuned" if attempt.value is not None else "not tuned"
+    value = kind if attempt.value is None else f"{attempt.value:.3f}"
+    yield _LaneChange(RESTITUTION, value, kind, number, slot.tuned_s, slot.drop_ns(slot.used))
+    if attempt.was_shot:
+        yield _LaneChange(SHOT, "shot", "shot", number, slot.shot_s, None)
+    word = "not told" if outcome is None else outcome.word if attempt.was_shot else "given up"
+    yield _LaneChange(SHOT, word, word, number, slot.outcome_s, end_ns)
 
 
 def _send(

@@ -1,4 +1,4 @@
-"""The curves of the drop under the cursor: observed and tuned."""
+"""The curves of the drop under the cursor: observed and tuned; or in words why it has none."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from analysis.campaign.tuned_drop import TunedDrop
 from analysis.review.campaign.times import ATTEMPT, Slot, beginnings, moments
 from analysis.review.drawing import (
     FAILURE,
+    MUTED,
     OBSERVED,
     Color,
     chart_view,
@@ -78,6 +79,7 @@ def log_overlays(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
     stream.log("sheets/overlay/simulated", line, static=True)
     for _, index, begun in beginnings(slots):
         _send_overlays(stream, index, [shown.drop if shown else None for _, shown in begun], axes)
+    _log_words(stream, slots)
     _log_now(stream, slots, axes)
 
 
@@ -131,6 +133,29 @@ def _simulated(drop: TunedDrop | None, axes: _Axes) -> Iterator[Array]:
     for stretch in np.split(points, np.flatnonzero(np.diff(is_known)) + 1):
         if len(stretch) > 1 and np.isfinite(stretch[0, 1]):
             yield stretch
+
+
+def _log_words(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
+    """Why there is no curve, in the middle of the chart; nothing where there is one."""
+    entity = "sheets/overlay/words"
+    style = rr.Points2D.from_fields(colors=[MUTED], radii=screen_radius(0.1), show_labels=True)
+    stream.log(entity, style, static=True)
+    for _, index, begun in beginnings(slots):
+        words = [_words(shown.drop if shown else None) for _, shown in begun]
+        told = [text for text in words if text]
+        columns = rr.Points2D.columns(positions=[[_WIDTH / 2, -0.75]] * len(told), labels=told)
+        lengths = [1 if text else 0 for text in words]
+        stream.send_columns(entity, indexes=[index], columns=columns.partition(lengths))
+
+
+def _words(drop: TunedDrop | None) -> str:
+    """Why a drop has no curve, shortly: the attempt's words say more. "" where it has one."""
+    if drop is None:
+        return "no drop was recorded for this attempt"
+    if drop.overlay is not None:
+        return ""
+    said = "this drop was rejected" if drop.verdict == "rejected" else "its tuning holds none"
+    return f"no curve: {said}"
 
 
 def _log_now(stream: rr.RecordingStream, slots: Sequence[Slot], axes: _Axes) -> None:

@@ -18,6 +18,7 @@ from tests.conftest import ROOT, Command
 SAMPLES = ROOT / "sample_logs"
 
 _OF_THE_TERMINAL = {"help", "version", "debug", "quiet", "preview", "print_completion"}
+_OF_THE_TERMINAL |= {"verbose", "json"}
 """Options without a meaning for a function."""
 
 _OF_MANY = {"logs", "output", "jobs", "overwrite", "resume", "ray", "no_review", "review_only"}
@@ -97,8 +98,8 @@ def test_values_as_a_table():
     table = record.to_frame()
     assert list(table.index) == ["restitution", "restitution_slope", "drag"]
     assert table.loc["restitution", "value"] == record.estimates[0].value
-    assert (table.low95 < table.value).all()
-    assert (table.value < table.high95).all()
+    assert (table.low < table.value).all()
+    assert (table.value < table.high).all()
     assert list(table.unit) == ["1", "1", "1/m"]
     curves = record.motion.curves
     assert curves is not None
@@ -107,7 +108,7 @@ def test_values_as_a_table():
 
 def test_components_have_a_row_each_and_a_rejected_log_none():
     held = tunenet.tune(SAMPLES / "payload.mcap", tares=[SAMPLES / "payload_empty.mcap"])
-    names = ["payload_mass", *(f"payload_com[{at}]" for at in range(3))]
+    names = ["payload_mass", *(f"payload_com_{axis}" for axis in "xyz")]
     assert list(held.to_frame().index) == names
     missing = tunenet.tune("nowhere.mcap")
     assert (missing.verdict, missing.reason) == ("rejected", "no such file")
@@ -251,3 +252,19 @@ def test_a_film_is_of_a_drop_alone():
         tunenet.simulate(tunenet.PayloadOrder(), film=tunenet.FilmOrder())
     shot = tunenet.simulate(tunenet.ShotOrder(seed=2))
     assert shot.info.kind == "bounce-shot"
+
+
+def test_a_report_and_its_figures(tmp_path: Path):
+    for name in ("dull", "bouncy"):
+        tunenet.save_tuning(tunenet.tune(SAMPLES / f"{name}.mcap"), tmp_path / f"{name}.json")
+    page, *figures = tunenet.report(
+        tmp_path, tmp_path / "all.html", figures=tmp_path / "figures", kind="png"
+    )
+    assert "dull.mcap" in page.read_text()
+    assert figures
+    assert all(figure.suffix == ".png" for figure in figures)
+    with pytest.raises(tunenet.UsageError, match="exists"):
+        tunenet.report(tmp_path / "dull.json", page)
+    table = tunenet.compare([tmp_path / "dull.json", tmp_path / "bouncy.json"]).to_frame()
+    values = table[table.parameter == "restitution"].set_index("log").value
+    assert values["bouncy.mcap"] > values["dull.mcap"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from tests.analysis.drop.test_review import contents, verified
 from tests.conftest import ROOT, Command, film
 from tunenet_logs.images import decode_image
 
-STATES = ("/1_ball", "/2_drop", "/3_tuning", "/4_shot", "/5_outcome")
+STATES = ("/ball", "/drop", "/restitution", "/shot")
 
 
 @pytest.fixture(scope="module")
@@ -72,21 +73,33 @@ def test_it_is_whole_and_small(review: Path):
     assert [one.name for one in review.parent.glob("*.partial")] == []
 
 
+def drawn(path: Path, lane: str, timeline: str) -> list[str]:
+    """What a lane says from each of its times on: the labels of its states; "" for none."""
+    labels: dict[str, str] = {}
+    for chunk in RrdReader(path).stream():
+        if str(chunk.entity_path) == lane and chunk.is_static:
+            batch = chunk.to_record_batch().to_pydict()
+            fields = [batch[f"StateConfiguration:{name}"][0] for name in ("values", "labels")]
+            labels = dict(zip(*fields, strict=True))
+    states = [value[0] if value else "" for _, value in rows(path, lane, timeline, "state")]
+    assert all(a != b for a, b in pairwise(filter(None, states)))  # Rerun would draw them as one
+    return [labels[state] if state else "" for state in states]
+
+
 def test_the_lanes_say_what_happened(review: Path):
-    lanes = {
-        entity: [value[0] for _, value in rows(review, entity, "attempt", "state") if value]
-        for entity in STATES
-    }
-    assert lanes["/1_ball"][:3] == ["gel", "gel", "red gel"]
-    assert lanes["/2_drop"][:3] == ["drop", "drop again", "rejected drop"]
-    assert lanes["/3_tuning"][:3] == ["tuned", "tuned", "not tuned"]
-    assert lanes["/4_shot"][:3] == ["shot", "shot", "given up"]
-    assert lanes["/5_outcome"][:3] == ["success", "failure", "failure"]
-    played = [value for _, value in rows(review, "/2_drop", "film_s", "state")]
-    assert played == [["drop"], ["rejected drop"], ["drop again"], ["rejected drop"], []]
-    played = [value for _, value in rows(review, "/5_outcome", "film_s", "state")]
-    assert played == [[], ["success"], [], ["failure"], [], ["failure"], []]
-    times = rows(review, "/5_outcome", "wall_clock", "state")
+    lanes = {lane: drawn(review, lane, "attempt")[:3] for lane in STATES}
+    assert lanes["/ball"] == ["gel, 1", "gel, 2", "red gel, 3"]
+    assert lanes["/drop"] == ["drop", "drop again", "rejected drop"]
+    first, second, third = lanes["/restitution"]
+    assert float(first) == pytest.approx(0.7, abs=0.01)
+    assert float(second) == pytest.approx(0.72, abs=0.01)
+    assert third == "not tuned"
+    assert lanes["/shot"] == ["success", "failure", "given up"]
+    played = drawn(review, "/drop", "film_s")
+    assert played == ["drop", "rejected drop", "drop again", "rejected drop", ""]
+    played = drawn(review, "/shot", "film_s")
+    assert played == ["", "shot", "success", "", "shot", "failure", "", "given up", ""]
+    times = rows(review, "/shot", "wall_clock", "state")
     assert len(times) == 3
 
 
@@ -187,8 +200,8 @@ def test_the_wall_clock_is_there_where_stamps_are(tmp_path: Path):
     campaigns.drop_at(tmp_path / "drop_1.mcap", START_NS)
     campaigns.outcome(tmp_path, 1, drop_log="drop_1.mcap", stamp_ns=START_NS + MINUTE_NS)
     assert main([str(tmp_path), "-o", str(tmp_path / "a.rrd"), "--quiet"]) == 0
-    ((begun, _),) = rows(tmp_path / "a.rrd", "/2_drop", "wall_clock", "state")
-    before, (ended, _) = rows(tmp_path / "a.rrd", "/5_outcome", "wall_clock", "state")
+    ((begun, _),) = rows(tmp_path / "a.rrd", "/drop", "wall_clock", "state")
+    before, (ended, _) = rows(tmp_path / "a.rrd", "/shot", "wall_clock", "state")
     assert before == (begun, [])
     assert (ended - begun).total_seconds() == pytest.approx(60, abs=1)
 

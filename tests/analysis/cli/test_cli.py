@@ -111,3 +111,20 @@ def test_plan_prints_shots_from_nothing_but_a_restitution(process: Command, tmp_
     assert result.returncode == 0, result.stderr
     assert "<- best" in result.stdout
     assert not list(tmp_path.iterdir())
+
+
+def test_verbose_says_where_how_and_how_long_on_standard_error(command: Command, drop_log: Path):
+    done = command("tunenet-tune", "-v", str(drop_log), cwd=drop_log.parent)
+    quiet = command("tunenet-tune", str(drop_log), cwd=drop_log.parent)
+    assert not quiet.stderr
+    said = done.stderr
+    for words in (
+        "Python 3.",
+        "drop in /ball/pose",
+        "impact ",
+        "rollouts in",
+        "total ",
+        "passed: ",
+    ):
+        assert words in said
+    assert done.stdout.split()[:3] == quiet.stdout.split()[:3]

@@ -1,0 +1,94 @@
+"""Results for scripts (`--json`): one object a log on a line of its own, as each is done."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from analysis.batch.one_log import Result
+from analysis.batch.result_names import OF_BATCH, result_files, result_names
+from analysis.batch.run import Order
+from analysis.record_json import record_fields
+from analysis.result_files import check_writable, replacing, writable
+from tunenet_logs.commandline import is_stdout
+from tunenet_logs.errors import UsageError
+from tunenet_logs.json_lines import json_line
+from tunenet_logs.regular_file import open_regular, real_path
+
+_BEGINS = b'{"path": '
+"""A file of such lines."""
+
+_ELSEWHERE = "choose another file with --json; what was tuned is in the logs' own JSONs"
+
+
+def result_fields(result: Result) -> dict[str, Any]:
+    """What came of a log: its path, what its JSON holds but the curves, and where its files are."""
+    return {
+        "path": str(result.row.log),
+        **record_fields(result.row.record),
+        "json": result.report and str(result.report),
+        "rrd": result.review and str(result.review),
+        "error": result.entry["error"],
+    }
+
+
+def check_lines(path: Path, order: Order, *, overwrite: bool) -> None:
+    """Find out before hours of work whether the lines can be written, and over what.
+
+    Args:
+        path: where they go.
+        order: of the batch, whose logs and results they never replace.
+        overwrite: whether they may replace a file that holds no such lines.
+
+    Raises:
+        UsageError: they cannot; says why.
+    """
+    if is_stdout(path):
+        return
+    place = real_path(path)
+    if any(isinstance(one.log, Path) and real_path(one.log) == place for one in order.logs):
+        raise UsageError(f"{path}: is a log of this batch; give --json another file")
+    names = [*result_names(order.logs, order.folder), (order.folder or Path()) / OF_BATCH]
+    if any(place == real_path(file) for name in names for file in result_files(name)):
+        raise UsageError(f"{path}: is where a log's own results go; give --json another file")
+    if path.parent.is_dir() or order.folder is None or place.parent != real_path(order.folder):
+        check_writable(path, "--json")
+    if path.exists() and not overwrite and not _is_lines(path):
+        raise UsageError(
+            f"{path}: exists, and was not written by --json; give it another file, or pass "
+            "--overwrite"
+        )
+
+
+def _is_lines(path: Path) -> bool:
+    try:
+        with open_regular(path) as file:
+            begins = file.read(len(_BEGINS))
+    except OSError:
+        return False
+    return begins in (b"", _BEGINS)
+
+
+@contextmanager
+def result_lines(path: Path | None) -> Iterator[Callable[[Result], None]]:
+    """What takes each result as it is done: it goes to a file, to standard output, or nowhere.
+
+    Raises:
+        LogError: the file cannot be written.
+    """
+    if path is None:
+        yield lambda _result: None
+    elif is_stdout(path):
+        yield lambda result: print(json_line(result_fields(result)), flush=True)
+    else:
+        with writable(path, _ELSEWHERE):
+            path.parent.mkdir(parents=True, exist_ok=True)  # the folder of the results
+        with replacing(path) as partial, partial.open("w", encoding="ascii") as file:
+
+            def write(result: Result) -> None:
+                with writable(path, _ELSEWHERE):
+                    print(json_line(result_fields(result)), file=file, flush=True)
+
+            yield write

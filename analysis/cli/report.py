@@ -1,0 +1,115 @@
+"""tunenet-report: tunings as one page, and as figures for a paper."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from analysis.cli.options import jobs_option
+from tunenet_logs.commandline import Parser, run
+from tunenet_logs.errors import UsageError
+from tunenet_logs.terminal import Progress, one_line
+
+if TYPE_CHECKING:
+    from analysis.report.embedded import Kind
+    from analysis.tuning_files import TuningFile
+
+_DESCRIPTION = """\
+One page of what was tuned, with everything in it: no network, under 3 MB. The verdict
+first and what to do, parameters with 95 % intervals and what they mean, observed and
+simulated curves, bounces, checks, iterations, the simulator's settings, where it comes
+from. Takes JSONs that tunenet-tune wrote, and folders with them; several get an overview
+and a comparison. A folder with outcomes is a campaign, as tunenet-review takes it.
+
+The pictures of a filmed drop and the torques of an arm come from the review NAME.rrd
+beside NAME.json; where it is not there, the page says so.
+
+--png and --pdf write the figures for a paper, a column wide: a name with the suffix gets
+the main one (curves; torques; of several tunings the comparison), a folder all of them.
+Needs matplotlib and Jinja2: pip install 'tunenet-logs[report]'."""
+
+_EXAMPLES = """\
+  tunenet-report drop.json -o drop.html
+  tunenet-report results/ -o results.html
+  tunenet-report campaign/ -o campaign.html
+  tunenet-report drop.json --pdf figures/"""
+
+
+def build_parser() -> Parser:
+    """The command's arguments."""
+    parser = Parser("tunenet-report", _DESCRIPTION, _EXAMPLES)
+    add = parser.add_argument
+    add("places", nargs="+", type=Path, metavar="TUNING.json", help="tunings, folders, campaigns")
+    add("-o", "--output", type=Path, metavar="REPORT.html", help="page to write")
+    add("--png", type=Path, metavar="FILE_OR_FOLDER", help="figures as PNG, 300 dpi")
+    add("--pdf", type=Path, metavar="FILE_OR_FOLDER", help="figures as PDF, fonts within")
+    add("--overwrite", action="store_true", help="replace what this command wrote before")
+    jobs_option(parser, "drops of a campaign at a time")
+    add("--quiet", action="store_true", help="no progress bar")
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Entry point of `tunenet-report`."""
+    return run(build_parser(), _report, argv)
+
+
+def _report(arguments: argparse.Namespace) -> int:
+    from analysis.optional_dependencies import needed
+
+    if not (arguments.output or arguments.png or arguments.pdf):
+        raise UsageError("say what to write: -o REPORT.html, --png or --pdf")
+    needed("matplotlib", "report")
+    needed("jinja2", "report")
+    from analysis.campaign.files import files_of
+    from analysis.report.reported import read_reported
+
+    inputs = list(files_of(arguments.places, _warn))
+    if arguments.output:
+        _check_page(arguments, inputs)
+    progress = Progress(quiet=arguments.quiet)
+    reported = read_reported(arguments.places, arguments.jobs, progress, _warn)
+    written: list[Path] = []
+    figures = _figure_files(arguments, reported.tunings, inputs)
+    if arguments.output:
+        from analysis.report.page import report_page
+        from analysis.result_files import replacing
+
+        with replacing(arguments.output) as partial:
+            partial.write_text(report_page(reported), "utf-8")
+        written.append(arguments.output)
+    written += figures
+    print("written: " + ", ".join(one_line(path) for path in written))
+    return 0
+
+
+def _check_page(arguments: argparse.Namespace, inputs: Sequence[Path]) -> None:
+    from analysis.output_files import check_output
+
+    check_output(arguments.output, "-o", (".html",), inputs, overwrite=arguments.overwrite)
+
+
+def _figure_files(
+    arguments: argparse.Namespace, tunings: Sequence[TuningFile], inputs: Sequence[Path]
+) -> list[Path]:
+    """Write the figures that were asked for."""
+    from analysis.report.paper import FigureOrder, write_figures
+
+    places: dict[Kind, Path | None] = {"png": arguments.png, "pdf": arguments.pdf}
+    orders = [
+        FigureOrder(place, kind, inputs, overwrite=arguments.overwrite)
+        for kind, place in places.items()
+        if place is not None
+    ]
+    return [path for order in orders for path in write_figures(order, tunings)]
+
+
+def _warn(text: str) -> None:
+    print(one_line(f"tunenet-report: {text}"), file=sys.stderr)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,103 @@
+"""Figures as files for a paper: one, or a folder of all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from analysis.comparison import compare
+from analysis.output_files import check_output
+from analysis.report.compared_figures import comparison_drawings
+from analysis.report.drawn import drawings_of, reviewed
+from analysis.report.embedded import Kind, write_figure
+from analysis.report.style import Drawing
+from analysis.result_files import replacing
+from analysis.tuning_files import TuningFile
+from tunenet_logs.errors import UsageError
+
+_MOST_TUNINGS = 100
+"""Whose figures are written to one folder at a time."""
+
+
+@dataclass(frozen=True)
+class FigureOrder:
+    """What to write.
+
+    Attributes:
+        place: a file with the kind's suffix for the main figure, else a folder for all.
+        inputs: files that are read, which nothing replaces.
+        overwrite: whether figures may be replaced.
+    """
+
+    place: Path
+    kind: Kind
+    inputs: Sequence[Path]
+    overwrite: bool
+
+
+def write_figures(order: FigureOrder, tunings: Sequence[TuningFile]) -> list[Path]:
+    """Write the figures of tunings; the files, in their order.
+
+    Raises:
+        UsageError: there is nothing to draw, or it cannot be written.
+        OSError: it cannot be written.
+    """
+    suffix = f".{order.kind}"
+    if len(tunings) > _MOST_TUNINGS:
+        raise UsageError(f"{len(tunings)} tunings: draw at most {_MOST_TUNINGS} at a time")
+    if order.place.suffix.lower() == suffix and not order.place.is_dir():
+        files = {order.place: _main(order, tunings)}
+    else:
+        files = {order.place / f"{name}{suffix}": one for name, one in _all(tunings).items()}
+        if order.place.suffix and not order.place.is_dir():
+            option = f"--{order.kind}"
+            raise UsageError(f"{order.place}: give {option} a folder, or a name that ends {suffix}")
+        if not files:
+            raise UsageError(f"{order.place}: these tunings have nothing to draw")
+        order.place.mkdir(exist_ok=True)
+    for path in files:
+        option = f"--{order.kind}"
+        check_output(path, option, (suffix,), order.inputs, overwrite=order.overwrite)
+    for path, drawing in files.items():
+        with replacing(path) as partial:
+            write_figure(drawing.figure, partial, order.kind)
+    return list(files)
+
+
+def _main(order: FigureOrder, tunings: Sequence[TuningFile]) -> Drawing:
+    drawings = _compared(tunings) if len(tunings) > 1 else _own(tunings[0])
+    if not drawings:
+        raise UsageError(f"{order.place}: these tunings have nothing to draw")
+    return drawings[0]
+
+
+def _all(tunings: Sequence[TuningFile]) -> dict[str, Drawing]:
+    """Every figure by the name of its file, without the suffix."""
+    found: dict[str, Drawing] = {}
+    for tuning in tunings:
+        for drawing in _own(tuning):
+            found[_free(found, f"{tuning.path.stem}_{drawing.name}")] = drawing
+    if len(tunings) > 1:
+        for drawing in _compared(tunings):
+            found[_free(found, f"comparison_{drawing.name}")] = drawing
+    return found
+
+
+def _free(taken: dict[str, Drawing], name: str) -> str:
+    """A name that none of these has: two tunings may be called alike."""
+    number, free = 1, name
+    while free in taken:
+        number += 1
+        free = f"{name}_{number}"
+    return free
+
+
+def _own(tuning: TuningFile) -> list[Drawing]:
+    seen, _ = reviewed(tuning.record, tuning.path)
+    return drawings_of(tuning.record, seen)
+
+
+def _compared(tunings: Sequence[TuningFile]) -> list[Drawing]:
+    records = [tuning.record for tuning in tunings]
+    return comparison_drawings(compare(records, [tuning.label for tuning in tunings]))

@@ -1,0 +1,240 @@
+"""Comparisons: what is told apart is different, and what is not the same is never compared."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from analysis.comparison import MOST_LOGS, Comparison, compare, told_apart
+from analysis.pair_test import LEVEL, PairTest
+from analysis.record import Estimate, Record
+from analysis.record import record_of as tuned_record
+from analysis.selection import Options
+from analysis.tuning import tune_episode
+from recorders.simulated_drop import DropOrder, simulate_drop
+from tests.analysis.records import HALF, drop_record, payload_record, rejected_record
+from tunenet_logs.errors import UsageError
+
+PAIRS = 4000
+"""Simulated pairs: a rate of 5 % then has a standard deviation of .34 %."""
+
+
+def pairs_of(comparison: Comparison, name: str = "restitution") -> tuple[PairTest, ...]:
+    return next(
+        one.tests for group in comparison.groups for one in group.quantities if one.name == name
+    )
+
+
+def simulated(rng: np.random.Generator, truth: float, sd: float) -> Record:
+    return drop_record(float(rng.normal(truth, sd)), sd)
+
+
+@pytest.mark.parametrize(("first_sd", "second_sd"), [(0.002, 0.002), (0.0005, 0.01)])
+def test_equal_values_are_told_apart_in_five_percent(first_sd: float, second_sd: float):
+    rng = np.random.default_rng(1)
+    wrong = 0
+    for _ in range(PAIRS):
+        pair = simulated(rng, 0.7, first_sd), simulated(rng, 0.7, second_sd)
+        wrong += pairs_of(compare(pair))[0].differs
+    assert wrong / PAIRS == pytest.approx(LEVEL, abs=0.0135)  # four standard deviations
+
+
+def test_among_several_equal_logs_a_difference_is_seen_in_at_most_five_percent():
+    rng = np.random.default_rng(2)
+    count = 1500
+    wrong = sum(
+        any(test.differs for test in pairs_of(compare(logs)))
+        for logs in ([simulated(rng, 0.7, 0.002) for _ in range(5)] for _ in range(count))
+    )
+    assert 0.015 < wrong / count < LEVEL + 0.02
+
+
+def test_probabilities_of_equal_values_are_even():
+    """Not only at 5 %: the test is calibrated everywhere."""
+    rng = np.random.default_rng(3)
+    found = [
+        pairs_of(compare([simulated(rng, 0.5, 0.004), simulated(rng, 0.5, 0.002)]))[0].probability
+        for _ in range(PAIRS)
+    ]
+    shares = np.histogram(np.array(found, float), bins=10, range=(0, 1))[0] / PAIRS
+    assert shares == pytest.approx(np.full(10, 0.1), abs=0.02)
+
+
+def test_different_values_are_told_apart_as_often_as_theory_says():
+    rng = np.random.default_rng(4)
+    found = sum(
+        pairs_of(compare([simulated(rng, 0.7, 0.002), simulated(rng, 0.708, 0.002)]))[0].differs
+        for _ in range(PAIRS)
+    )
+    distance = 0.008 / (0.002 * math.sqrt(2))
+    expected = 0.5 * math.erfc((HALF - distance) / math.sqrt(2))
+    assert found / PAIRS == pytest.approx(expected, abs=0.03)
+
+
+def test_tuned_drops_of_one_ball_agree_and_another_ball_stands_out():
+    """From simulated logs of different heights to the verdict, with the intervals of real fits."""
+    drops = [
+        (restitution, height_m)
+        for restitution, heights in ((0.7, (0.8, 0.9, 1.0, 1.1)), (0.72, (1.0,)))
+        for height_m in heights
+    ]
+    records = [
+        tuned_record(
+            tune_episode(
+                simulate_drop(
+                    DropOrder(restitution=restitution, height_m=height_m, noise_m=0.001, seed=seed)
+                ),
+                Options(),
+            )
+        )
+        for seed, (restitution, height_m) in enumerate(drops)
+    ]
+    comparison = compare(records, ["a", "b", "c", "d", "other"])
+    quantity = comparison.groups[0].quantities[0]
+    assert told_apart(quantity, "other") == ["a", "b", "c", "d"]
+    assert [told_apart(quantity, name) for name in "abcd"] == [["other"]] * 4
+
+
+def test_the_interval_that_points_at_the_other_value_counts():
+    """Zou and Donner 2008, eq. 3: of the larger value its lower part, of the smaller its upper."""
+    low = drop_record(estimates=(Estimate("restitution", "1", 0.70, (0.60, 0.703)),), slope=None)
+    high = drop_record(estimates=(Estimate("restitution", "1", 0.71, (0.706, 0.9)),))
+    test = pairs_of(compare([high, low]))[0]
+    assert test.difference == pytest.approx(0.01)
+    assert test.interval95[0] == pytest.approx(0.01 - math.hypot(0.004, 0.003))
+    assert test.interval95[1] == pytest.approx(0.01 + math.hypot(0.19, 0.10))
+    assert test.probability == pytest.approx(math.erfc(2 * HALF / math.sqrt(2)), rel=1e-3)
+
+
+def test_an_interval_that_physics_cuts_is_no_certainty():
+    """A drag near 0 whose interval begins there: below it, nothing is known to be excluded."""
+    drags = (0.0002, (0.0, 0.0036)), (0.0, (0.0, 0.00001))
+    records = [
+        drop_record(estimates=(Estimate("drag", "1/m", value, ends),)) for value, ends in drags
+    ]
+    test = pairs_of(compare(records), "drag")[0]
+    assert test.probability is not None
+    assert test.probability > 0.5
+
+
+def test_holms_correction():
+    """Of three pairs the smallest probability counts three times, the next twice."""
+    records = [drop_record(value, 0.001) for value in (0.700, 0.7033, 0.7036)]
+    tests = {(one.first, one.second): one for one in pairs_of(compare(records, list("abc")))}
+    ordered = sorted(tests.values(), key=lambda one: one.probability or 0)
+    raw = [one.probability for one in ordered]
+    assert [one.corrected for one in ordered] == pytest.approx(
+        [3 * raw[0], max(3 * raw[0], 2 * raw[1]), max(3 * raw[0], 2 * raw[1], raw[2])]  # type: ignore[operator]
+    )
+
+
+def test_a_ball_that_bounces_better_when_slower_is_one_ball():
+    """By its law both drops are the same; without it, the difference may be the speed's."""
+    slow = 0.7 * (2.0 / 4.0) ** -0.06
+    law = {"slope": (0.06, 0.001)}
+    told = compare(
+        [
+            drop_record(0.7, 0.001, speed_m_s=4.0, slowest_m_s=1.5, **law),
+            drop_record(slow, 0.001, speed_m_s=2.0, **law),
+        ]
+    )
+    test = pairs_of(told)[0]
+    assert test.difference == pytest.approx(0, abs=1e-9)
+    assert test.speed_m_s == 2.0
+    assert not test.differs
+    assert not test.caution
+    untold = compare([drop_record(0.7, speed_m_s=4.0), drop_record(slow, speed_m_s=2.0)])
+    assert pairs_of(untold)[0].differs
+    assert "may be the speed's" in pairs_of(untold)[0].caution
+    unknown = compare([drop_record(0.7, speed_m_s=None), drop_record(slow)])
+    assert "no impact speed" in pairs_of(unknown)[0].caution
+    far = compare([drop_record(0.7, speed_m_s=4.0, **law), drop_record(slow, speed_m_s=2.0, **law)])
+    assert "no bounce of drop.mcap (1) is so slow" in pairs_of(far)[0].caution
+
+
+@pytest.mark.parametrize("correlation", [-0.95, 0.0, 0.95])
+def test_at_another_speed_equal_balls_are_told_apart_in_at_most_five_percent(correlation: float):
+    """Whatever the correlation of restitution and slope, which no record has."""
+    rng = np.random.default_rng(5)
+    sds = np.array([0.002, 0.01])
+    covariance = np.outer(sds, sds) * np.array([[1, correlation], [correlation, 1]])
+    slow, wrong, count = 0.7 * (2.0 / 4.0) ** -0.05, 0, 2000
+    for _ in range(count):
+        value, slope = rng.multivariate_normal([0.7, 0.05], covariance)
+        fast = drop_record(float(value), 0.002, slope=(float(slope), 0.01), slowest_m_s=1.0)
+        other = drop_record(float(rng.normal(slow, 0.002)), 0.002, speed_m_s=2.0)
+        wrong += pairs_of(compare([fast, other]))[0].differs
+    assert wrong / count < LEVEL + 0.015
+
+
+def test_the_restitution_holds_at_its_own_impact():
+    """A record may show bounces before it."""
+    record = drop_record(0.7, speed_m_s=5.0, slowest_m_s=3.0, window={"impact_s": 1.5})
+    frame = compare([record]).to_frame()
+    assert frame["impact_speed_m_s"].tolist() == [3.0]
+
+
+def test_what_means_something_else_is_never_compared():
+    paper = {"preset": "paper", "engine": "pybullet 3.2.7"}
+    records = [
+        drop_record(0.5),
+        drop_record(0.9, simulator=paper, physical=False),
+        drop_record(0.2, simulator={**paper, "engine": "mujoco 4"}, physical=False),
+        payload_record(0.8, 0.05, (0.0, 0.0, 0.1), 0.01),
+        drop_record(estimates=(Estimate("restitution", "m", 0.1, (0.09, 0.11)),)),
+    ]
+    comparison = compare(records)
+    assert not [
+        test for group in comparison.groups for one in group.quantities for test in one.tests
+    ]
+    titles = [group.title for group in comparison.groups]
+    assert titles == [
+        "drop, default",
+        "drop, paper, numbers of pybullet 3.2.7",
+        "drop, paper, numbers of mujoco 4",
+        "payload, default",
+    ]
+
+
+def test_the_components_of_one_parameter_are_one_family():
+    records = [
+        payload_record(0.8, 0.01, (0.0, 0.0, 0.0), 0.001),
+        payload_record(0.8, 0.01, (0.0026, 0.0, 0.0), 0.001),
+    ]
+    comparison = compare(records)
+    x = pairs_of(comparison, "payload_com x")[0]
+    assert x.probability == pytest.approx(0.066, abs=0.002)
+    assert x.corrected == pytest.approx(3 * (x.probability or 0))
+
+
+def test_values_without_an_interval_and_one_recording_twice_are_not_compared():
+    bare = compare([drop_record(0.5, None), drop_record(0.9)])
+    assert not pairs_of(bare)
+    twice = compare([drop_record(0.5, sha256="ab"), drop_record(0.9, sha256="ab")])
+    assert pairs_of(twice)[0].probability is None
+    assert not pairs_of(twice)[0].differs
+    assert pairs_of(twice)[0].caution == "the same recording: not compared"
+
+
+def test_the_frame_has_a_row_for_each_value_and_each_log_without_one():
+    records = [drop_record(0.5, slope=(0.05, 0.01)), drop_record(0.9), rejected_record("no ball")]
+    frame = compare(records, ["a", "b", "c"]).to_frame()
+    assert frame["log"].tolist() == ["a", "b", "a", "c"]
+    assert frame["parameter"].tolist()[:3] == ["restitution", "restitution", "restitution_slope"]
+    assert frame["differs_from"].tolist()[:2] == ["b", "a"]
+    assert frame["reason"].tolist()[3] == "no ball"
+    assert frame["low"][0] == pytest.approx(0.5 - HALF * 0.001)
+    pairs = compare(records, ["a", "b", "c"]).pairs_frame()
+    assert pairs[["first", "second", "differs"]].to_numpy().tolist() == [["a", "b", True]]
+
+
+def test_equal_names_are_numbered_and_never_clash():
+    records = [drop_record(log="a"), drop_record(log="a"), drop_record(log="a (2)")]
+    assert compare(records).labels == ("a (1)", "a (3)", "a (2)")
+    with pytest.raises(UsageError, match="2 names"):
+        compare(records, ["a", "b"])
+    with pytest.raises(UsageError, match=f"at most {MOST_LOGS}"):
+        compare([drop_record()] * (MOST_LOGS + 1))
+    assert compare([]).to_frame().empty

@@ -1,0 +1,56 @@
+"""Completion for shells: `--print-completion bash`, of every command."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+SHELLS = ("bash", "zsh", "tcsh")
+
+_PATHS = ("LOG", "SOURCE")
+"""Metavars of what may be a file and need not: an address, a camera's number."""
+
+_OFFERED = "offered"
+
+
+def offering(action: argparse.Action, words: Iterable[str]) -> None:
+    """Have a shell offer words for an option that takes others too, or says itself what is wrong.
+
+    `choices` would refuse all others in argparse's words.
+    """
+    vars(action)[_OFFERED] = tuple(words)
+
+
+class PrintCompletion(argparse.Action):
+    """Prints the script that completes this command in a shell, and ends, as `--version` does."""
+
+    def __call__(
+        self, parser: argparse.ArgumentParser, _namespace: object, values: Any, _option: object = ""
+    ) -> None:
+        """Print it, and end."""
+        print(_script(parser, str(values)), flush=True)
+        sys.exit(0)
+
+
+def _script(parser: argparse.ArgumentParser, shell: str) -> str:
+    import shtab  # only here: nothing else needs it
+
+    _annotate(parser, shtab.FILE, shtab.DIRECTORY)
+    return shtab.complete(parser, shell)
+
+
+def _annotate(parser: argparse.ArgumentParser, file: Any, folder: Any) -> None:
+    """Say of each argument what completes it; the parser parses nothing any more."""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for verb in action.choices.values():
+                _annotate(verb, file, folder)
+        elif action.choices is not None:
+            action.choices = list(action.choices)
+        elif _OFFERED in vars(action):
+            action.choices = vars(action)[_OFFERED]
+        elif action.type is Path or action.metavar in _PATHS:
+            vars(action)["complete"] = folder if action.metavar == "DIR" else file
