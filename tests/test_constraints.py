@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from itertools import chain
 
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
@@ -21,7 +22,7 @@ def test_each_line_pins_one_package():
 
 def test_all_that_we_ask_for_is_pinned():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    asked = [*project["dependencies"], *sum(project["optional-dependencies"].values(), [])]
+    asked = [*project["dependencies"], *chain(*project["optional-dependencies"].values())]
     pins = {canonicalize_name(pin.name): pin for pin in map(Requirement, LINES)}
     for one in map(Requirement, asked):
         name = canonicalize_name(one.name)
