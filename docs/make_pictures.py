@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import os
 import re
+import shutil
 import signal
 import socket
 import subprocess
@@ -84,7 +85,7 @@ def main() -> int:
 
 def draw(section: Section, folder: Path) -> None:
     """Run the commands and keep the picture of what they made."""
-    (folder / "sample_logs").symlink_to(ROOT / "sample_logs")
+    shutil.copytree(ROOT / "sample_logs", folder / "sample_logs")
     environment = {**os.environ, "PATH": f"{BIN}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
     subprocess.run(["bash", "-c", section.commands], cwd=folder, env=environment, check=False)
     if not (folder / section.review).is_file():

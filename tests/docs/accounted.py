@@ -31,7 +31,7 @@ NOT_RUN: Mapping[str, str] = {
     r"python docs/make_\w+\.py.*": "changes the documents",
     r"python3 -m venv \w+": "Python's own",
     r"\. \S+/activate": "the shell's own",
-    r"(ray|rosbag|ros2|ffmpeg|gst-launch-1\.0) .*": "other programs",
+    r"(ray|rosbag|ros2|ffmpeg|gst-launch-1\.0|jq) .*": "other programs",
     r"du -sm .*|printf .*|mkdir \w+|\.venv/bin/python -c .*": "the system's own",
 }
 """By what the whole command looks like."""
@@ -58,6 +58,7 @@ OTHER_OPTIONS: Mapping[str, str] = {
         "pip",
     ),
     **dict.fromkeys(("--address", "--head"), "Ray"),
+    "--python": "uv",
 }  # fmt: skip
 """Options in the documents that are none of ours, and whose they are."""
 
