@@ -13,7 +13,7 @@ from analysis.batch.run import MOST_SHOWN, BatchResult, Order
 from analysis.batch.text_table import write_csv
 from analysis.result_files import replacing, writable
 from analysis.terminal_table import table
-from tunenet_logs.terminal import one_line, short_name
+from tunenet_logs.terminal import one_line, short_name, terminal_columns
 
 _ELSEWHERE = "free some space and run it again with --resume: the logs are done"
 
@@ -47,7 +47,7 @@ def print_table(results: Sequence[Result]) -> None:
     """A table of the logs that could be read."""
     rows = [result.row for result in results if result.row.is_read]
     if rows:
-        print(table(rows))
+        print(table(rows, terminal_columns()))
 
 
 def print_remarks(results: Sequence[Result]) -> None:
