@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from analysis.checks import CrossCheck
+from analysis.fitted_table import laid_out
 from analysis.record import Estimate, Record, Tuning
 from tunenet_logs.terminal import one_line
 
@@ -58,17 +59,27 @@ def row_of(tuning: Tuning, record: Record) -> Row:
     )
 
 
-def table(rows: Sequence[Row]) -> str:
-    """One line a log, and lines below for what is more to say; a table for each parameter."""
+def table(rows: Sequence[Row], most: int | None = None) -> str:
+    """One line a log, and lines below for what is more to say; a table for each parameter.
+
+    Args:
+        rows: of the logs.
+        most: characters of a line on a terminal, to which it is fitted; None for all of it.
+    """
     parameters = list(dict.fromkeys(row.parameter for row in rows if row.parameter)) or [""]
     parts = [
         [row for row in rows if (row.parameter or parameters[0]) == parameter]
         for parameter in parameters
     ]
-    return "\n\n".join(map(_table, parameters, parts))
+    tables = [
+        laid_out(_columns(parameter, its), [_lines_below(row) for row in its], most)
+        for parameter, its in zip(parameters, parts, strict=True)
+    ]
+    return "\n\n".join(tables)
 
 
-def _table(parameter: str, rows: Sequence[Row]) -> str:
+def _columns(parameter: str, rows: Sequence[Row]) -> dict[str, list[str]]:
+    """The cells of each column, by its name."""
     records = [row.record for row in rows]
     crosses = [record.cross_check for record in records]
     extents = [row.extent[0] for row in rows if row.extent is not None]
@@ -88,16 +99,7 @@ def _table(parameter: str, rows: Sequence[Row]) -> str:
     for optional in ("truth", "95 % interval", "fits"):
         if set(columns[optional]) == {"-"}:
             del columns[optional]
-    columns = {name: cells for name, cells in columns.items() if name}
-    widths = [max(len(name), *map(len, cells)) for name, cells in columns.items()]
-    header, *lines = (
-        "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
-        for line in zip(*([name, *cells] for name, cells in columns.items()), strict=True)
-    )
-    out = [header]
-    for row, line in zip(rows, lines, strict=True):
-        out += [line, *(f"  {words}" for words in _lines_below(row))]
-    return "\n".join(out)
+    return {name: cells for name, cells in columns.items() if name}
 
 
 def _cross(cross: CrossCheck | None) -> str:

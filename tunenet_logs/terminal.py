@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator
@@ -47,6 +48,11 @@ def short_name(name: object, most: int = _MOST_CHARACTERS) -> str:
         return line
     head = most // 2
     return f"{line[:head]}…{line[head + 1 - most :]}"
+
+
+def terminal_columns() -> int | None:
+    """Characters of a line where standard output is a terminal; None for a pipe or a file."""
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
 
 
 def listed(names: Iterable[str]) -> str:

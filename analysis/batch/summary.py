@@ -16,7 +16,7 @@ from analysis.record import Record
 from analysis.result_files import replacing, writable
 from analysis.terminal_table import table
 from tunenet_logs import __version__
-from tunenet_logs.terminal import one_line, short_name
+from tunenet_logs.terminal import one_line, short_name, terminal_columns
 
 _OF_SIMULATOR = ("engine", "preset", "step_hz")
 
@@ -52,7 +52,7 @@ def print_table(results: Sequence[Result]) -> None:
     """A table of the logs that could be read."""
     rows = [result.row for result in results if result.row.is_read]
     if rows:
-        print(table(rows))
+        print(table(rows, terminal_columns()))
 
 
 def print_remarks(results: Sequence[Result]) -> None:

@@ -22,7 +22,6 @@ from analysis.evaluation.choices import (
     chosen_names,
     chosen_sections,
 )
-from analysis.result_files import replacing, write_json
 from tunenet_logs.errors import UsageError
 
 if TYPE_CHECKING:
@@ -69,7 +68,7 @@ def _drop(
         write_convergence(results, path)
 
     return [drop_tables(results)], {
-        "json": lambda path: write_json(path, drop_json(results)),
+        "json": lambda path: _write_json(path, drop_json(results)),
         "csv": lambda path: _write(path, drop_csv(results)),
         "png": lambda path: write_figure(results, path),
         "rrd": write_rrd,
@@ -89,7 +88,7 @@ def _motion(
     targets = arguments.targets
     rows = run_motion(seeds, targets, arguments.jobs, progress, _effort(arguments))
     return [motion_lines(rows, seeds, targets)], {
-        "json": lambda path: write_json(path, motion_json(rows, seeds, targets)),
+        "json": lambda path: _write_json(path, motion_json(rows, seeds, targets)),
         "csv": lambda path: _write(path, motion_csv(rows, seeds)),
     }
 
@@ -105,7 +104,7 @@ def _intervals(
     targets = arguments.targets
     rows = interval_coverages(seeds, targets, arguments.jobs, progress)
     return [coverage_table(rows)], {
-        "json": lambda path: write_json(path, intervals_json(rows, seeds, targets)),
+        "json": lambda path: _write_json(path, intervals_json(rows, seeds, targets)),
         "csv": lambda path: _write(path, intervals_csv(rows)),
     }
 
@@ -156,7 +155,7 @@ def _payload(
             yield convention_table(conventions)
 
     return blocks(), {
-        "json": lambda path: write_json(
+        "json": lambda path: _write_json(
             path, payload_json(masses, logs, order, strangers, conventions)
         ),
         "csv": lambda path: _write(path, payload_csv(masses, order)),
@@ -201,7 +200,7 @@ def _bounce_shot(
             yield acceptance_table(bad, good)
 
     return blocks(), {
-        "json": lambda path: write_json(path, shot_json(results, bad, good)),
+        "json": lambda path: _write_json(path, shot_json(results, bad, good)),
         "csv": lambda path: _write(path, shot_csv(results)),
     }
 
@@ -252,7 +251,7 @@ def _video(
             yield transformed_table(transformed)
 
     return blocks(), {
-        "json": lambda path: write_json(path, video_json(rows, order, clips, transformed)),
+        "json": lambda path: _write_json(path, video_json(rows, order, clips, transformed)),
         "csv": lambda path: _write(path, video_csv(rows)),
     }
 
@@ -285,7 +284,7 @@ def _real_balls(
                 yield from section_blocks(section, found)
 
     return blocks(), {
-        "json": lambda path: write_json(path, real_json(lines, order)),
+        "json": lambda path: _write_json(path, real_json(lines, order)),
         "csv": lambda path: _write(path, real_csv(lines)),
     }
 
@@ -301,7 +300,7 @@ def _engines(
     order = EngineOrder(seeds, arguments.targets, arguments.jobs)
     lines = engine_lines(order, progress)
     return [engine_tables(lines, order)], {
-        "json": lambda path: write_json(path, engines_json(lines, order)),
+        "json": lambda path: _write_json(path, engines_json(lines, order)),
         "csv": lambda path: _write(path, engines_csv(lines)),
     }
 
@@ -313,8 +312,16 @@ def _effort(arguments: argparse.Namespace) -> Effort:
 
 
 def _write(path: Path, text: str) -> None:
+    from analysis.result_files import replacing
+
     with replacing(path) as partial:
         partial.write_text(text, "utf-8")
+
+
+def _write_json(path: Path, text: str) -> None:
+    from analysis.result_files import write_json
+
+    write_json(path, text)
 
 
 EXPERIMENTS: dict[str, Experiment] = {
