@@ -121,8 +121,9 @@ class DropFromTimes:
 
     def review(self, stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container | None:
         """See `Experiment.review`."""
-        if tuning.detection is None or tuning.trace is None:
-            return None
+        from analysis.drop.review.refused_times import log_refused_times
         from analysis.drop.review.times import log_times
 
+        if tuning.detection is None or tuning.trace is None:
+            return log_refused_times(stream, tuning)
         return log_times(stream, tuning)

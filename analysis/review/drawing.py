@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
+import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,7 +13,6 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from analysis.terminal_table import quantity
-from tunenet_logs import __version__
 from tunenet_logs.arrays import Array
 
 Color = tuple[int, int, int]
@@ -62,14 +61,13 @@ def entity_of(*parts: str) -> str:
     return rr.new_entity_path([name for part in parts for name in part.split("/") if name])
 
 
-def application_id(kind: str, *shown: bytes) -> str:
-    """The name under which Rerun keeps a layout: one of its own for each review.
+def application_id(kind: str) -> str:
+    """The name under which Rerun keeps a layout: one of its own for each review that is written.
 
-    Rerun shows another recording of the same name in the layout that it saw first, whatever that
-    recording brings along.
+    Rerun shows another recording of the same name in the layout that it saw first, on disk until
+    somebody resets it, whatever that recording brings along.
     """
-    digest = hashlib.sha256(b"\0".join((__version__.encode(), *shown))).hexdigest()[:16]
-    return f"tunenet {kind} {digest}"
+    return f"tunenet {kind} {uuid.uuid4().hex[:16]}"
 
 
 def at_seconds(seconds: Array) -> rr.TimeColumn:

@@ -6,7 +6,6 @@ one sorts the curves; the table has a choice of its own, in the selection panel.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -71,8 +70,7 @@ def write_overview(columns: Columns, path: Path) -> None:
     values = {name: values[name] for name in names}
     orders = _orders(columns, values, len(logs))
     outliers = {name: _unlike(values[name]) for name in names}
-    shown = "\n".join((*names, *logs, os.fspath(path))).encode(errors="replace")
-    recording = rr.RecordingStream(application_id("overview", shown), recording_id="overview")
+    recording = rr.RecordingStream(application_id("overview"), recording_id="overview")
     memory = recording.memory_recording()  # its own file sink waits for ever on a full disk
     for name in names:
         _draw(recording, name, columns, verdicts, outliers[name], orders)

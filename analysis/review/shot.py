@@ -51,7 +51,7 @@ def write_shots(plan: Plan, path: Path) -> None:
     """
     shown = f"{plan.rig} {plan.ball.law}".encode() + plan.heights_m.tobytes()
     identity = hashlib.sha256(shown).hexdigest()[:16]
-    stream = rr.RecordingStream(application_id("shot", shown), recording_id=identity)
+    stream = rr.RecordingStream(application_id("shot"), recording_id=identity)
     memory = stream.memory_recording()
     stream.send_recording_name("bounce shot")
     stream.log("shots", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)

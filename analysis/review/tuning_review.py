@@ -11,6 +11,7 @@ import hashlib
 import os
 from pathlib import Path
 
+import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.components import AbsoluteTimeRange
@@ -61,13 +62,12 @@ def write_review(tuning: Tuning, record: Record, path: Path) -> None:
     text = result_words(
         record, tuning.preset, tuning.experiment.occasion if tuning.experiment else None
     )
-    its_name = application_id(tuning.task or "log", identity, text.encode(errors="replace"))
-    stream = rr.RecordingStream(its_name, recording_id=name)
+    stream = rr.RecordingStream(application_id(tuning.task or "log"), recording_id=name)
     memory = stream.memory_recording()  # Rerun's own file sink only prints that a disk is full
     stream.send_recording_name(os.fsencode(tuning.log.name).decode(errors="replace"))
     layout = tuning.experiment.review(stream, tuning) if tuning.experiment else None
     if tuning.detection is None or layout is None:
-        views, left_out = _log_recorded(stream, tuning)
+        views, left_out = _log_recorded(stream, tuning, only_what_changes=layout is not None)
         text += f"\n\n- {left_out} more curves are not drawn" if left_out else ""
         if layout is None and log_recorded_film(stream, tuning):
             views = [rrb.Spatial2DView(origin="/film", name="recorded pictures")]
@@ -109,9 +109,13 @@ def _time_panel(record: Record, *, has_film: bool) -> rrb.TimePanel:
     )
 
 
-def _log_recorded(stream: rr.RecordingStream, tuning: Tuning) -> tuple[list[rrb.View], int]:
+def _log_recorded(
+    stream: rr.RecordingStream, tuning: Tuning, *, only_what_changes: bool
+) -> tuple[list[rrb.View], int]:
     """What was recorded, where the task found nothing in it: views by unit, curves left out."""
     signals = tuning.episode.signals if tuning.episode else {}
+    if only_what_changes:  # marks of events are the same at each of them
+        signals = {name: one for name, one in signals.items() if np.ptp(one.values)}
     curves = [(one, index) for one in signals.values() for index in range(len(one.columns))]
     by_unit: dict[str, list[str]] = {}
     for signal, index in curves[:_MOST_CURVES]:

@@ -39,7 +39,7 @@ def write_campaign(campaign: Campaign, path: Path) -> None:
     words = campaign_words(campaign)
     shown = os.fsencode(real_path(path)) + words.encode()
     identity = hashlib.sha256(shown).hexdigest()[:16]
-    stream = rr.RecordingStream(application_id("campaign", shown), recording_id=identity)
+    stream = rr.RecordingStream(application_id("campaign"), recording_id=identity)
     memory = stream.memory_recording()
     stream.send_recording_name(campaign.name)
     slots = slots_of(campaign.attempts)
