@@ -32,6 +32,9 @@ _HANG = 0.03
 _MOST_LETTERS = 15
 """Of a name, as many as fit left of the chart."""
 
+_MOST_ROWS = 12
+"""Names above one another that do not overlap on a small screen; the tables have all."""
+
 _TUNED: Color = (255, 165, 40)
 _PAPER: Color = (190, 150, 255)
 _LINES: Color = (60, 62, 70)
@@ -67,6 +70,8 @@ class _RowAxes:
 
 def log_rates(stream: rr.RecordingStream, every: Sequence[Rate]) -> rrb.View:
     """Draw each fraction of successes, its Wilson interval, and the paper's."""
+    title = f"success rates{_cut(len(every))}, bars: 95 % (Wilson), violet: the paper's"
+    every = every[:_MOST_ROWS]
     rows = _RowAxes(len(every), 0.0, 1.0)
     sheet = "sheets/rates"
     _log_frame(
@@ -95,11 +100,13 @@ def log_rates(stream: rr.RecordingStream, every: Sequence[Rate]) -> rrb.View:
     ]
     marks = rr.LineStrips2D(strips, colors=[_PAPER], radii=screen_radius(1.5), draw_order=18.0)
     stream.log(f"{sheet}/published", marks, static=True)
-    return _view("rates", "success rates, bars: 95 % (Wilson), violet: the paper's")
+    return _view("rates", title)
 
 
 def log_restitutions(stream: rr.RecordingStream, balls: Sequence[BallRestitutions]) -> rrb.View:
     """Draw each attempt's restitution, and the mean and standard deviation of each ball's."""
+    title = f"restitution by ball{_cut(len(balls))}: each attempt with its 95 %, band: mean ± sd"
+    balls = balls[:_MOST_ROWS]
     ends = [value for ball in balls for value in ball.values]
     ends += [end for ball in balls for pair in ball.intervals95 if pair for end in pair]
     low, high = (min(ends), max(ends)) if ends else (0.0, 1.0)
@@ -142,7 +149,12 @@ def log_restitutions(stream: rr.RecordingStream, balls: Sequence[BallRestitution
             show_labels=True,
         )
         stream.log(f"{sheet}/words", said, static=True)
-    return _view("spreads", "restitution by ball: each attempt with its 95 %, band: mean ± sd")
+    return _view("spreads", title)
+
+
+def _cut(count: int) -> str:
+    """How many rows of those there are the chart has, where it has not all."""
+    return "" if count <= _MOST_ROWS else f" (the first {_MOST_ROWS} of {count})"
 
 
 def _view(name: str, title: str) -> rrb.View:

@@ -17,6 +17,7 @@ from analysis.review.campaign.overlay import _Axes, _observed, _simulated
 from tests.analysis.campaign import campaigns
 from tests.analysis.campaign.campaigns import MINUTE_NS, START_NS
 from tests.analysis.drop.test_review import contents, verified
+from tests.analysis.review.stored import Stored
 from tests.conftest import ROOT, Command, film
 from tunenet_logs.images import decode_image
 
@@ -277,3 +278,17 @@ def test_samples_that_are_not_known_are_left_out_of_the_curves():
     axes = _Axes(5.0, 1.0)
     assert len(_observed(drop, axes)) == 5
     assert [len(stretch) for stretch in _simulated(drop, axes)] == [2, 2]
+
+
+def test_of_many_balls_the_charts_show_the_first_and_the_tables_all(tmp_path: Path):
+    for number in range(20):
+        campaigns.outcome(tmp_path, 1, f"ball {number}", tuned_parameter=0.6 + 0.01 * number)
+    assert main([str(tmp_path), "-o", str(tmp_path / "a.rrd"), "--quiet"]) == 0
+    stored = Stored(tmp_path / "a.rrd")
+    titles = [view.name for view in stored.views]
+    for sheet, count in (("rates", 23), ("spreads", 20)):
+        (labels,) = stored.entities[f"/sheets/{sheet}/labels"]["Points2D:labels"].static
+        assert sum("ball " in label for label in labels.as_py()) <= 12
+        assert any(f"(the first 12 of {count})" in title for title in titles)
+    (words,) = stored.entities["/summary"]["TextDocument:text"].static
+    assert all(f"| ball {number} |" in words.as_py()[0] for number in range(20))
