@@ -126,12 +126,7 @@ def _parameters(record: Record) -> dict[str, Any]:
 
 def _units(units: Units) -> dict[str, Any]:
     """Who says in which units a log is."""
-    return {
-        "length_m": units.length_m,
-        "length_by": units.length_by,
-        "rate_hz": units.rate_hz,
-        "rate_by": units.rate_by,
-    }
+    return {name: getattr(units, name) for name in ("length_m", "length_by", "rate_hz", "rate_by")}
 
 
 def _rounded(heights_m: Array) -> list[float | None]:
