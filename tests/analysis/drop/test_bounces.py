@@ -95,7 +95,7 @@ def test_without_a_refinement_there_is_the_first(filmed: Tuning):
 
 def test_the_words_name_bounces_interval_and_cross_check(filmed: Tuning):
     words = words_of(with_rebounds(filmed))
-    assert "| 2 | 0.712 | 0.702 to 0.722 | 3.10 m/s |" in words
+    assert "| 2 | 0.712 | 0.7020 to 0.7220 | 3.10 m/s |" in words
     assert "| parameter | value | 95 % |" in words
     assert "cross-check agrees: 0.7" in words
     unsure = words_of(doubted(with_rebounds(filmed, (None, None, None))))
