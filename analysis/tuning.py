@@ -18,6 +18,7 @@ from analysis.record import Tuning
 from analysis.registry import experiments_of, kinds, kinds_in, method_named
 from analysis.selection import Options
 from analysis.tunenet.checkpoint import load_model, shipped_model
+from analysis.unused import unused_options
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import LogError, NotFoundError, TuneNetError, UsageError
@@ -151,7 +152,12 @@ def tune_detected(
         rollouts=problem.rollouts,
         cross_check=cross_check,
         checks=checks,
-        warnings=(*said, *detection.warnings, *unused),
+        warnings=(
+            *said,
+            *detection.warnings,
+            *unused,
+            *unused_options(options, experiment, method, detection),
+        ),
         simulator={
             "engine": problem.simulator.engine,
             "preset": options.preset,

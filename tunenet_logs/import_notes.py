@@ -92,6 +92,14 @@ def restored(episode: Episode, options: ReadOptions) -> Episode:
     return replace(found, open_frames=timed)
 
 
+def rate_is_unused(episode: Episode, options: ReadOptions) -> bool:
+    """Whether a rate was given for messages that all have times of their own."""
+    keys = (_COUNTS, _UNTIMED)
+    return options.rate_hz is not None and not any(
+        key.startswith(keys) for key in episode.info.notes
+    )
+
+
 def _restored(signal: Signal, notes: Mapping[str, str], options: ReadOptions) -> Signal:
     unit = notes.get(_UNIT + signal.name, "")
     if signal.is_position and unit and not options.length_unit:

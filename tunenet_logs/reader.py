@@ -22,7 +22,7 @@ from tunenet_logs.formats.base import (
 from tunenet_logs.formats.pictures import frames_of
 from tunenet_logs.formats.read_options import AS_IT_SAYS, ReadOptions
 from tunenet_logs.images import FREE_VIDEO_PIXELS, VIDEO_PIXELS_A_BYTE
-from tunenet_logs.import_notes import restored
+from tunenet_logs.import_notes import rate_is_unused, restored
 from tunenet_logs.late_stamps import BY_ARRIVALS, STAMPS_NOTE
 from tunenet_logs.messages import INFO_RECORD
 from tunenet_logs.one_clock import jump_warnings
@@ -43,6 +43,8 @@ log, and its bytes for each beyond."""
 
 _MOST_LOSSES = 5
 """Places of damage that are named one by one among the warnings; the rest is counted."""
+
+_RATE_UNUSED = "--fps not used: its messages have times of their own"
 
 _LAST_NS = 2**63 - 1
 """The last stamp that fits int64: in the year 2262."""
@@ -90,7 +92,8 @@ def read_episode(path: Path, options: ReadOptions = AS_IT_SAYS) -> Episode:
     contents = list(dict.fromkeys(by_channel.values()))
     about = EpisodeInfo.from_strings(info)
     episode = restored(_episode(path, container, losses, about, contents, plan), options)
-    return replace(episode, warnings=(*episode.warnings, *jump_warnings(episode)))
+    unused = (_RATE_UNUSED,) if rate_is_unused(episode, options) else ()
+    return replace(episode, warnings=(*episode.warnings, *jump_warnings(episode), *unused))
 
 
 def _episode(
