@@ -105,7 +105,7 @@ def test_joints_and_currents(path: Path):
 @pytest.mark.parametrize(
     ("columns", "said"),
     [
-        ("z=/bal.height", "no topic of --columns z=/bal.height; there are: /ball, /lab/point"),
+        ("z=/bal.height", "no topic of --columns z=/bal.height (there are: /ball, /lab/point"),
         ("z=/ball.heigth", "has no heigth; of /ball there are: header.stamp"),
         ("z=/ball.name", "is no number"),
         ("z=/ball", "is a whole message"),

@@ -79,7 +79,7 @@ def test_a_damaged_file_is_named_and_the_others_read(tmp_path: Path, storage: St
 def test_files_that_are_all_unreadable_are_one_error(tmp_path: Path):
     (tmp_path / "a_0.mcap").write_bytes(b"x")
     (tmp_path / "a_1.mcap").write_bytes(b"")
-    with pytest.raises(LogError, match=r"no file in it can be read; a_0.mcap is no .mcap file"):
+    with pytest.raises(LogError, match=r"no file in it can be read: a_0.mcap is no .mcap file"):
         read_episode(tmp_path)
 
 

@@ -6,7 +6,7 @@ import os
 import re
 from io import BufferedReader
 
-from tunenet_logs.errors import COPY_AGAIN, LogError
+from tunenet_logs.errors import LogError
 
 _TABLES = (b"stsz", b"stz2", b"trun")
 """By which samples are claimed."""
@@ -59,7 +59,7 @@ class Mp4Claims:
         if self._counts_on:
             self._bytes += len(data)
         if self._claimed > _FREE + _SAMPLES_A_BYTE * self._bytes:
-            raise LogError(f"claims {self._claimed} samples in {self._bytes} bytes", COPY_AGAIN)
+            raise LogError(f"claims {self._claimed} samples in {self._bytes} bytes")
 
     def skip(self) -> None:
         """The next bytes do not follow upon the last."""

@@ -66,7 +66,7 @@ def read_folder(
                     described.add(file)
                 yield record
         except LogError as error:
-            trouble = str(error).removeprefix(f"{file}: ")
+            trouble = error.what.removeprefix(f"{file}: ")
             troubles.append(f"{file.name} {trouble}")
             lost.append(Loss(trouble, size=file.stat().st_size))
         losses += [replace(loss, file=file.name) for loss in lost]

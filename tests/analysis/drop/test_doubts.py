@@ -75,7 +75,7 @@ def test_a_log_without_a_ball_says_what_it_holds_and_what_was_wanted(tmp_path: P
     )  # fmt: skip
     tuning = tune_log(tmp_path / "a.mcap", Options())
     assert tuning.verdict == "rejected"
-    assert "position of a ball or pictures" in (tuning.reason or "")
+    assert "a ball's position or with pictures" in (tuning.reason or "")
     assert "none" in (tuning.reason or "")
 
 

@@ -233,7 +233,7 @@ def test_random_times_are_never_ok(seed: int):
 def test_two_times_are_too_few():
     tuning = tuned(np.array([0.0, 0.5]))
     assert tuning.verdict == "rejected"
-    assert "2 impact times; a restitution takes 3 or more" in (tuning.reason or "")
+    assert "2 impact times, too few for two whole flights" in (tuning.reason or "")
 
 
 def test_a_hundred_thousand_times_are_bounded():

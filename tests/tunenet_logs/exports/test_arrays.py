@@ -92,7 +92,7 @@ def test_columns_that_a_user_names(tmp_path: Path, name: str, write: Callable[..
     signal = read_episode(tmp_path / name, said).signals["track"]
     np.testing.assert_allclose(signal.values[:, 2], Z * 1e-3, atol=1e-12)
     assert signal.unit == "m"
-    with pytest.raises(LogError, match="no column is called 'c'; there is: a, b"):
+    with pytest.raises(LogError, match=r"no column is called 'c' \(there is: a, b"):
         read_episode(tmp_path / name, ReadOptions(columns={"t": "a", "z": "c"}))
 
 

@@ -1,0 +1,157 @@
+"""Every rejection ends with what to do: of strangers' files, faulty tracks and made logs."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from analysis.drop.film import find_filmed_drop
+from analysis.evaluation.video.fault_tracks import (
+    FAULT_BALLS,
+    FAULT_SET,
+    TRACK_FAULTS,
+    TrackFault,
+)
+from analysis.evaluation.video.tracks import draw_scene
+from analysis.selection import Options, Selection
+from analysis.tuning import tune_log
+from tests import hostile
+from tests.remedies import has_remedy
+from tunenet_logs.errors import NotFoundError
+
+ROOT = Path(__file__).parents[2]
+REAL = Path("/work/shared/real")
+
+
+@pytest.mark.parametrize(
+    ("reason", "has"),
+    [
+        ("no fall ends in an impact", False),
+        ("it is 3 mm high: too low for a drop", False),
+        ("it is small; record it larger", True),
+        ("it is small; at the next drop: film it larger", True),
+        ("no usable topic /a; there is: /b", False),
+    ],
+)
+def test_the_law_tells_a_remedy_from_none(reason: str, has: bool) -> None:
+    assert has_remedy(reason) == has
+
+
+def _fall(name: str, seconds: np.ndarray) -> np.ndarray:
+    fall = 1.0 - 9.81 * seconds**2 / 2
+    return {
+        "still": np.zeros_like(seconds),
+        "falls_on": fall,
+        "stays": np.maximum(fall, 0.0),
+        "carried": 1.0 - 0.3 * seconds,
+        "swings": np.cos(2 * np.pi * seconds),
+        "noise": np.random.default_rng(1).normal(size=len(seconds)),
+        "gap": np.where(seconds < 0.3, fall, np.nan),
+        "slow_fall": np.maximum(1.0 - 0.5 * seconds**2, 0.0),
+    }[name]
+
+
+@pytest.mark.parametrize(
+    "name", ["still", "falls_on", "stays", "carried", "swings", "noise", "gap", "slow_fall"]
+)
+@pytest.mark.parametrize("count", [5, 300])
+def test_a_track_that_is_no_drop(name: str, count: int, tmp_path: Path) -> None:
+    seconds = np.linspace(0, 2, count)
+    rows = zip(seconds, _fall(name, seconds), strict=True)
+    log = tmp_path / "track.csv"
+    log.write_text("t,z\n" + "".join(f"{t:.5f},{z:.6f}\n" for t, z in rows))
+    _check(log)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "hello",
+        "t\n1\n2\n",
+        "a,b\n1,2\n3,4\n",
+        "times\n1\n2\n",
+        "times\n3\n1\n2\n",
+        "times\n1\n2\n3\n4\n5\n6\n",
+        "t,z\nx,y\nx,y\n",
+        "t,z\n0,1\n",
+        '{"a": 1}',
+        "\x00\x01\x02" * 50,
+    ],
+)
+@pytest.mark.parametrize("ending", [".csv", ".mcap", ".bag", ".mp4", ".json"])
+def test_a_file_that_is_no_log(text: str, ending: str, tmp_path: Path) -> None:
+    log = tmp_path / f"log{ending}"
+    log.write_text(text)
+    _check(log)
+
+
+@pytest.mark.parametrize(
+    "write",
+    [
+        hostile.zstd_of_4_gib,
+        hostile.many_small_bombs,
+        hostile.chunk_in_chunk,
+        hostile.huge_length,
+        hostile.huge_sequence,
+        hostile.nested_json,
+        hostile.forged_jpeg,
+        hostile.blank_pictures,
+        hostile.nested_metadata,
+    ],
+)
+def test_a_hostile_file(write: Callable[[Path], None], tmp_path: Path) -> None:
+    log = tmp_path / "log.mcap"
+    write(log)
+    _check(log)
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    _check(tmp_path / "none.mcap")
+    _check(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "selection",
+    [
+        Selection(topic="/nowhere"),
+        Selection(start_s=1e6),
+        Selection(start_s=0.0, end_s=0.05),
+    ],
+)
+@pytest.mark.parametrize("name", ["dull", "filmed", "payload"])
+def test_a_part_of_a_log_in_which_there_is_nothing(name: str, selection: Selection) -> None:
+    _check(ROOT / "sample_logs" / f"{name}.mcap", Options(selection=selection))
+
+
+@pytest.mark.parametrize("fault", TRACK_FAULTS, ids=lambda fault: fault.name)
+def test_a_faulty_track(fault: TrackFault) -> None:
+    reasons: list[str] = []
+    for number in range(3):
+        track = fault.track(draw_scene(FAULT_SET, FAULT_BALLS, 0.3, 7, number))
+        try:
+            find_filmed_drop(track, int(track.stamps_ns[0]), None)
+        except NotFoundError as error:
+            reasons.append(str(error))
+    assert all(map(has_remedy, reasons)), reasons
+
+
+@pytest.mark.skipif(not REAL.is_dir(), reason="the real recordings are not on this machine")
+@pytest.mark.parametrize(
+    "place",
+    ["negatives/*.mp4", "labs/*", "ros1/*.bag", "mcap_rosbag2/*.mcap", "mcap_conformance/On*sum*"],
+)
+def test_real_files(place: str) -> None:
+    files = sorted(REAL.glob(place))
+    assert files
+    for log in files[:12]:
+        _check(log, must_be_rejected=False)
+
+
+def _check(log: Path, options: Options | None = None, *, must_be_rejected: bool = True) -> None:
+    tuning = tune_log(log, options or Options())
+    assert not must_be_rejected or tuning.verdict == "rejected"
+    if tuning.verdict == "rejected":
+        assert tuning.reason is not None
+        assert has_remedy(tuning.reason), f"{log.name}: {tuning.reason}"

@@ -1,0 +1,85 @@
+"""Whether a reason ends with what to do: the law for everything that a log is refused for."""
+
+import re
+
+ORDERS = frozenset(
+    [
+        "add",
+        "ask",
+        "calibrate",
+        "check",
+        "choose",
+        "close",
+        "convert",
+        "copy",
+        "correct",
+        "create",
+        "cut",
+        "decrypt",
+        "drop",
+        "export",
+        "film",
+        "filter",
+        "free",
+        "give",
+        "hold",
+        "install",
+        "keep",
+        "leave",
+        "let",
+        "link",
+        "lower",
+        "make",
+        "mark",
+        "measure",
+        "mend",
+        "mount",
+        "move",
+        "name",
+        "number",
+        "open",
+        "pass",
+        "pip",
+        "put",
+        "record",
+        "recover",
+        "rename",
+        "replace",
+        "report",
+        "rewrite",
+        "run",
+        "save",
+        "say",
+        "see",
+        "select",
+        "set",
+        "shorten",
+        "split",
+        "take",
+        "track",
+        "try",
+        "tune",
+        "unpack",
+        "use",
+        "wait",
+        "widen",
+        "write",
+    ]
+)
+"""First words of a clause that tells a user what to do."""
+
+_CONDITION = re.compile(r"(?:if|where|first|then|or|and|either)\b[^,;:]*, |first ", re.I)
+
+
+def has_remedy(reason: str) -> bool:
+    """Whether the last part of a line is an order, or what to do at the next drop or run."""
+    if re.search(r"at the next \w+: ", reason):
+        return True
+    clauses = re.split(r"; |: (?=[a-z])|\? ", reason)
+    last = clauses[-3:]
+    return any(_is_order(clause) for clause in last)
+
+
+def _is_order(clause: str) -> bool:
+    words = re.match(r"[a-z]+", _CONDITION.sub("", clause.strip(" )"), count=1))
+    return words is not None and words[0] in ORDERS
