@@ -215,7 +215,8 @@ def record_from(fields: Mapping[str, Any]) -> Record:
             str(cross["method"]),
             _number("value", cross["value"]),
             cross["agrees"],
-            *(_optional(partial(_number, one), cross.get(one)) for one in ("tolerance", "noise95")),
+            tolerance=_optional(partial(_number, "tolerance"), cross.get("tolerance")),
+            noise95=_optional(partial(_number, "noise95"), cross.get("noise95")),
         ),
         checks=tuple(
             Check(

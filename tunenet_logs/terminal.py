@@ -133,14 +133,19 @@ class Progress:
     """Tells of work in progress on standard error.
 
     Bars are shown where that is a terminal; else there are stand-ins that show nothing.
+
+    Attributes:
+        quiet: nothing is told at all.
+        has_bars: none are shown without, as where results come meanwhile, often on that terminal.
     """
 
     quiet: bool = False
+    has_bars: bool = True
 
     @property
     def shows_bars(self) -> bool:
         """Whether bars are seen by anybody."""
-        return not self.quiet and sys.stderr.isatty()
+        return self.has_bars and not self.quiet and sys.stderr.isatty()
 
     def say(self, text: str) -> None:
         """A line on standard error, above a bar that is shown there."""

@@ -40,7 +40,8 @@ def _tune(arguments: argparse.Namespace) -> int:
     if arguments.preview:
         _check_preview(arguments)
     check_card_place(arguments)
-    progress = Progress(quiet=arguments.quiet)
+    shows_table = arguments.json is None or not is_stdout(arguments.json)
+    progress = Progress(quiet=arguments.quiet, has_bars=shows_table)
     given = given_options(arguments)
     options = options_of(given, arguments.logs)
     for doubt in ball_doubts(given, options.selection.ball):
@@ -74,7 +75,6 @@ def _tune(arguments: argparse.Namespace) -> int:
         batch = run_batch(order, progress, stream, arguments.jobs, after=after, each=each)
     if arguments.verbose:
         print_details(batch.results)
-    shows_table = arguments.json is None or not is_stdout(arguments.json)
     if shows_table:
         print_table(batch.results)
     print_remarks(batch.results)

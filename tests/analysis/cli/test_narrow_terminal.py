@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import json
 import os
 import pty
 import struct
@@ -36,7 +37,7 @@ def seen(columns: int, *words: object) -> list[str]:
         process = subprocess.Popen(
             [str(BIN / "tunenet-tune"), *map(str, words)],
             stdout=its,
-            stderr=subprocess.DEVNULL,
+            stderr=its if "--json" in words else subprocess.DEVNULL,
             stdin=subprocess.DEVNULL,
             env=environment,
         )
@@ -89,6 +90,13 @@ def test_a_wide_terminal_and_a_pipe_have_the_whole_table(
     piped = process("tunenet-tune", drop_log.name, "--no-review").stdout.splitlines()[0].split()
     assert wide == piped
     assert {"slope", "drag", "cross-check", "rollouts", "time", "truth"} <= set(piped)
+
+
+def test_json_is_not_mixed_with_bars(drop_log: Path, monkeypatch):
+    """Standard error is the same terminal."""
+    monkeypatch.chdir(drop_log.parent)
+    [line] = seen(80, drop_log.name, "--no-review", "--json", "-")
+    assert json.loads(line)["verdict"] == "ok"
 
 
 @pytest.mark.parametrize("most", [1, 30, 50, 60, 80, 200])
