@@ -24,20 +24,7 @@ if TYPE_CHECKING:
     from tunenet_logs.formats.read_options import ReadOptions
 
 
-<<<<<<< HEAD
 _HELP_COLUMNS = 80
-=======
-_EXIT_CODES = """\
-exit codes:
-  0    done
-  1    refused or failed; the last line says why, and what to do
-  2    an option makes no sense; nothing was done
-  130  Ctrl-C (143: SIGTERM, 129: SIGHUP)"""
-
-
-class Parser(argparse.ArgumentParser):
-    """An argument parser whose errors are one line, with exit code 2."""
->>>>>>> baa0516 (Exit codes, common errors and completion documented; a law that every rejection ends with a remedy)
 
 
 class Parser(argparse.ArgumentParser):
@@ -65,11 +52,7 @@ class Parser(argparse.ArgumentParser):
         super().__init__(
             prog=prog,
             description=description,
-<<<<<<< HEAD
             epilog=f"examples:\n{examples}\n\n{lines}",
-=======
-            epilog=f"examples:\n{examples}\n\n{_EXIT_CODES}",
->>>>>>> baa0516 (Exit codes, common errors and completion documented; a law that every rejection ends with a remedy)
             formatter_class=argparse.RawDescriptionHelpFormatter,
             allow_abbrev=False,
         )

@@ -111,7 +111,10 @@ def test_components_have_a_row_each_and_a_rejected_log_none():
     names = ["payload_mass", *(f"payload_com_{axis}" for axis in "xyz")]
     assert list(held.to_frame().index) == names
     missing = tunenet.tune("nowhere.mcap")
-    assert (missing.verdict, missing.reason) == ("rejected", "no such file")
+    assert (missing.verdict, missing.reason) == (
+        "rejected",
+        "no such file; check its name and folder",
+    )
     assert missing.to_frame().empty
 
 
