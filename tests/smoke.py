@@ -29,9 +29,10 @@ COMMANDS = (
     "tunenet-tune drop.mcap",
     "tunenet-review . -o all.rrd",
     "tunenet-export drop.json --to mujoco -o ball.xml",
+    "tunenet-compare drop.json --csv all.csv",
 )
 """Run one after the other in an empty folder."""
-WRITTEN = ("drop.mcap", "drop.json", "drop.rrd", "all.rrd", "ball.xml")
+WRITTEN = ("drop.mcap", "drop.json", "drop.rrd", "all.rrd", "ball.xml", "all.csv", "all_pairs.csv")
 VERSIONS = """
 import platform
 from importlib.metadata import version

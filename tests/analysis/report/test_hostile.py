@@ -100,7 +100,7 @@ def test_words_of_others_are_words(
         assert page.overflow_px == 0
         if word.isprintable() and len(word) < 100:
             assert word in page.text
-    assert "49" not in page.text.split("Parameters")[0]
+        assert "49" not in page.text.split("Parameters")[0]
 
 
 def test_hostile_tunings_beside_each_other(tmp_path: Path, browser: Any, command: Command):
