@@ -92,7 +92,7 @@ def _fitted(
     log, *_ = never = list(columns)[:3]
     many, few = _NAME_CHARACTERS
     kept = {**columns, log: [short_name(cell, many) for cell in columns[log]]}
-    order = [name for name in reversed(columns) if name not in (*_LAST, *never)]
+    order = [name for name in reversed(list(columns)) if name not in (*_LAST, *never)]
     order += [name for name in _LAST if name in columns and name not in never]
     for name in order:
         if _width(kept) <= most:

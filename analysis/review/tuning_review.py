@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -149,7 +150,7 @@ def _recorded_view(unit: str, entities: list[str], last_s: float, most_names: in
     )
 
 
-def _recorded_layout(evidence: rrb.Container | None, views: list[rrb.View]) -> rrb.Container:
+def _recorded_layout(evidence: rrb.Container | None, views: Sequence[rrb.View]) -> rrb.Container:
     """What was looked at over all that was recorded, beside the words."""
     result = rrb.TextDocumentView(origin="/result", name="result")
     parts: list[rrb.View | rrb.Container] = [] if evidence is None else [evidence]
