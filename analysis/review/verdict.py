@@ -74,7 +74,8 @@ def _title(tuning: Tuning, record: Record) -> str:
     signals = tuning.episode.signals.values() if tuning.episode else ()
     starts_ns = [int(one.stamps_ns[0]) for one in signals if len(one.stamps_ns)]
     found = tuning.detection or tuning.refused
-    starts_ns += [found.start_ns] if found is not None else []
+    film_ns = getattr(found, "start_ns", None)  # of what was filmed alone
+    starts_ns += [] if film_ns is None else [film_ns]
     if starts_ns and min(starts_ns) > _FIRST_WALL_NS:
         began = datetime.fromtimestamp(min(starts_ns) // 10**9, UTC)
         parts.append(f"recorded {began:%Y-%m-%d %H:%M} UTC")

@@ -205,7 +205,7 @@ def test_the_components_of_one_parameter_are_one_family():
         payload_record(0.8, 0.01, (0.0026, 0.0, 0.0), 0.001),
     ]
     comparison = compare(records)
-    x = pairs_of(comparison, "payload_com x")[0]
+    x = pairs_of(comparison, "payload_com_x")[0]
     assert x.probability == pytest.approx(0.066, abs=0.002)
     assert x.corrected == pytest.approx(3 * (x.probability or 0))
 

@@ -178,7 +178,7 @@ def test_a_new_experiment_is_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path:
 @pytest.mark.parametrize(
     ("method", "said"),
     [
-        ("secant", "for drops alone"),
+        ("secant", "it is for drops"),
         ("line", None),
         ("brent", None),
         ("least-squares", None),
@@ -233,4 +233,4 @@ def test_a_log_that_a_method_does_not_fit_never_stops_the_others(tmp_path: Path)
     arm = Path(__file__).resolve().parents[2] / "sample_logs" / "payload.mcap"
     results = tune_all([arm, good], Options(method="secant"), tmp_path / "out", 1, QUIET)
     assert [result.row.record.verdict for result in results][1] != "rejected"
-    assert "for drops alone" in (results[0].row.record.reason or "")
+    assert "it is for drops" in (results[0].row.record.reason or "")

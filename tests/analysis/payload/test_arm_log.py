@@ -143,7 +143,9 @@ def test_velocities_without_a_number_are_done_without(episode):
 
 
 def test_a_topic_without_the_arms_joints_is_refused(episode):
-    with pytest.raises(NotFoundError, match="no usable topic /nope; there is: /joint_states"):
+    with pytest.raises(
+        NotFoundError, match=r"no usable topic /nope \(there is: /joint_states\); name one"
+    ):
         read_arm_log(episode, ARM, topic="/nope")
     base = on_topic(episode.signals["/joint_states.position"], "/base", tuple("abcdefg"))
     both = replace(episode, signals={**episode.signals, base.name: base})

@@ -319,7 +319,7 @@ def mass_of(report: Path) -> float:
 def test_a_topic_that_is_not_there_is_said_with_those_that_are(logs: tuple[Path, Path]):
     tuning = tune_log(logs[0], Options(selection=Selection(topic="/nope")))
     assert tuning.verdict == "rejected"
-    assert "no usable topic /nope; there is: /joint_states" in (tuning.reason or "")
+    assert "no usable topic /nope (there is: /joint_states); name one" in (tuning.reason or "")
 
 
 def test_a_first_guess_beyond_any_arm_is_wrong_usage(logs: tuple[Path, Path]):
