@@ -180,8 +180,14 @@ def _group(kind: Sequence[str], labels: list[str], records: list[Record]) -> Com
             values.setdefault((name, unit), []).append(value)
     tests = {key: pair_tests(found) for key, found in values.items()}
     families: dict[tuple[str, str], list[tuple[str, str]]] = {}
+    of_parameter = {
+        part.name: known.name
+        for record in records
+        for known in record.estimates
+        for part in known.components
+    }
     for name, unit in values:
-        families.setdefault((name.partition(" ")[0], unit), []).append((name, unit))
+        families.setdefault((of_parameter[name], unit), []).append((name, unit))
     for keys in families.values():  # the components of one parameter are one family
         corrected = iter(holm([test for key in keys for test in tests[key]]))
         for key in keys:

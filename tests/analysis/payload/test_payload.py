@@ -308,7 +308,7 @@ def test_torques_in_another_unit_reject_their_log_alone(
     words = ("--jobs", 1, "-o", tmp_path / "out")
     result = command("tunenet-tune", tmp_path / "odd.mcap", logs[0], *words)
     assert result.returncode == 1
-    assert "over 20 kg: are they in N·m?" in result.stdout
+    assert "over 20 kg; say their unit with --effort-unit" in result.stdout
     assert mass_of(tmp_path / "out" / "held.json") == pytest.approx(0.6, abs=0.3)
 
 
