@@ -101,8 +101,6 @@ def run_in_process(words: Sequence[str], folder: Path) -> CompletedProcess[str]:
             code = begun[0]()
         except SystemExit as stop:
             code = stop.code
-    if code == 0:  # done with printing something, such as a completion
-        return None
     return CompletedProcess(list(words), int(code or 0), out.getvalue(), err.getvalue())  # type: ignore[call-overload]
 
 
