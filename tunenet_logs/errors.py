@@ -1,5 +1,7 @@
 """The errors that users see: each names the file or value, what is wrong, and the remedy."""
 
+from typing import Self
+
 
 class TuneNetError(Exception):
     """Root of every error this project raises on purpose; shown as one line, without traceback.
@@ -20,9 +22,16 @@ class TuneNetError(Exception):
         self.what, self.remedy = str(what), remedy
         super().__init__(f"{what}; {remedy}" if remedy else self.what)
 
+    def renamed(self, old: object, new: object) -> Self:
+        """The same error with another name for what it is about, its remedy kept apart."""
+        return type(self)(self.what.replace(str(old), str(new)), self.remedy)
+
 
 COPY_AGAIN = "copy it again, or record again"
 """The remedy for a file that is not whole, or not what a recorder writes."""
+
+EXPORT_AGAIN = "copy or export it again"
+"""The remedy for a table or an export that is not whole."""
 
 CHECK_DISK = "check its path, its permissions and its disk"
 """The remedy for a file that the system does not give."""

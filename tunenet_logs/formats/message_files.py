@@ -79,4 +79,4 @@ def read_packed(
         try:
             yield from read(inside, losses, topics, budget)
         except LogError as error:
-            raise LogError(str(error).replace(str(inside), str(path))) from error
+            raise error.renamed(inside, path) from error

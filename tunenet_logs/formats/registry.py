@@ -211,4 +211,4 @@ def _read_inside(inside: Path, path: Path, options: ReadOptions) -> Episode:
     try:
         return _read_foreign(inside, options)
     except LogError as error:
-        raise LogError(str(error).replace(str(inside), str(path))) from error
+        raise error.renamed(inside, path) from error

@@ -159,7 +159,7 @@ def open_video(path: Path, filmed_hz: float | None = None) -> Video:
     with _opened(path) as container:
         first = next(_whole(container.decode(_video_stream(container, path))), None)
         if first is None:
-            raise LogError(f"{path}: no picture in it can be decoded; is the file whole?")
+            raise LogError(f"{path}: no picture in it can be decoded", COPY_AGAIN)
         rotation = 90 * round(first.rotation / 90)  # the file's display matrix, by a phone's pose
         size = (first.height, first.width) if rotation % 180 else (first.width, first.height)
     warnings: list[str] = []

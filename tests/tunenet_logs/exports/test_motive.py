@@ -89,7 +89,7 @@ def test_rotations_alone_are_refused(tmp_path: Path):
 def test_a_header_alone_is_refused(tmp_path: Path):
     path = take(tmp_path)
     path.write_text("\n".join(path.read_text().splitlines()[:3]))
-    with pytest.raises(LogError, match="no row that begins with Frame; is the file whole"):
+    with pytest.raises(LogError, match="no row that begins with Frame; copy or export it again"):
         read(path)
 
 

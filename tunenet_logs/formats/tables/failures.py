@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from tunenet_logs.errors import EXPORT_AGAIN
+
 _MAX_UNREADABLE_FRACTION = 0.05
 """Of the rows: with more of them it is not the file that is damaged, but us who misread it."""
 
@@ -11,7 +13,7 @@ TIME_REMEDY = "write times in seconds (0.008), or as 2026-11-21T10:00:00.008Z"
 CELLS_REMEDY = (
     "give each row as many cells as the header has, with ';' between them where numbers have ','"
 )
-DAMAGED_REMEDY = "is the file whole?"
+DAMAGED_REMEDY = EXPORT_AGAIN
 
 
 class UnreadableError(ValueError):

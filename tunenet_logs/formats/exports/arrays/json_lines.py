@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tunenet_logs.episode import Episode
-from tunenet_logs.errors import LogError
+from tunenet_logs.errors import EXPORT_AGAIN, LogError
 from tunenet_logs.formats.exports.arrays.array_columns import arrays_episode
 from tunenet_logs.formats.exports.arrays.column_plan import plan_columns, spread_names
 from tunenet_logs.formats.exports.arrays.json_records import DamagedJsonError, json_values
@@ -76,7 +76,7 @@ def _until_damage(path: Path, values: Iterator[Any], losses: list[str]) -> Itera
             yield value
     except DamagedJsonError as error:
         if not count:
-            raise LogError(f"{path}: {error}; is the file whole?") from error
+            raise LogError(f"{path}: {error}", EXPORT_AGAIN) from error
         losses.append(f"{error}: what follows it was left out")
 
 

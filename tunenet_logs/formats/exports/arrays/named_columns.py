@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tunenet_logs.episode import Episode, Signal
-from tunenet_logs.errors import LogError
+from tunenet_logs.errors import EXPORT_AGAIN, LogError
 from tunenet_logs.formats.exports.arrays.column_plan import ColumnPlan, PlannedSignal
 from tunenet_logs.formats.exports.arrays.column_times import column_stamps
 from tunenet_logs.formats.exports.build import export_episode, frame_stamps, position_signal
@@ -106,7 +106,7 @@ def columns_episode(
     signals, moved = _from_zero([signal for signal in signals if len(signal.stamps_ns)])
     if not signals:
         named = ", ".join(signal.name for signal in plan.signals) or "impacts"
-        raise LogError(f"{path}: no row has a time and a value of {named}; is the file whole?")
+        raise LogError(f"{path}: no row has a time and a value of {named}", EXPORT_AGAIN)
     return export_episode(
         path,
         what,

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tunenet_logs.episode import Episode
-from tunenet_logs.errors import LogError
+from tunenet_logs.errors import EXPORT_AGAIN, LogError
 from tunenet_logs.formats.exports.mocap.c3d_header import (
     BLOCK_BYTES,
     C3dHeader,
@@ -71,7 +71,7 @@ def read_c3d(path: Path, options: ReadOptions) -> Episode:
         try:
             header = header_of(file.read(_HEADER_BYTES))
         except ValueError as error:
-            raise LogError(f"{path}: is a {WHAT} that {error}; is the file whole?") from error
+            raise LogError(f"{path}: is a {WHAT} that {error}", EXPORT_AGAIN) from error
         if not 0 < header.points <= MOST_COLUMNS // 3:
             raise LogError(
                 f"{path}: is a {WHAT} of {header.points} points (1 to {MOST_COLUMNS // 3} can be)",

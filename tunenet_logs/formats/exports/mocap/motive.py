@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tunenet_logs.episode import Episode
-from tunenet_logs.errors import LogError
+from tunenet_logs.errors import EXPORT_AGAIN, LogError
 from tunenet_logs.formats.exports.mocap.markers import (
     MarkerTrack,
     MarkerTracks,
@@ -77,7 +77,7 @@ def read_motive(path: Path, options: ReadOptions) -> Episode:
             said = header_cells(first, separator)
             header = _header(lines, separator)
         except ValueError as error:
-            raise LogError(f"{path}: is an {WHAT} with {error}; is the file whole?") from error
+            raise LogError(f"{path}: is an {WHAT} with {error}", EXPORT_AGAIN) from error
         pairs = dict(zip(said[::2], said[1::2], strict=False))
         tracks = _tracks(pairs, *header)
         if not tracks.tracks:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tunenet_logs.episode import UNSTATED, Episode
-from tunenet_logs.errors import LogError
+from tunenet_logs.errors import EXPORT_AGAIN, LogError
 from tunenet_logs.formats.exports.mocap.markers import (
     MarkerTrack,
     MarkerTracks,
@@ -93,7 +93,7 @@ def read_nexus(path: Path, options: ReadOptions) -> Episode:
             try:
                 section, stray = _next_section(lines)
             except ValueError as error:
-                raise LogError(f"{path}: is a {WHAT} with {error}; is the file whole?") from error
+                raise LogError(f"{path}: is a {WHAT} with {error}", EXPORT_AGAIN) from error
             if rows is not None and stray:
                 rows.is_broken = True
             if section is None:

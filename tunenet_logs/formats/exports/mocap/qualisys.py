@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tunenet_logs.episode import UNSTATED, Episode
-from tunenet_logs.errors import LogError
+from tunenet_logs.errors import EXPORT_AGAIN, LogError
 from tunenet_logs.formats.exports.mocap.markers import (
     MarkerTrack,
     MarkerTracks,
@@ -61,7 +61,7 @@ def read_qualisys(path: Path, options: ReadOptions) -> Episode:
         try:
             keys, columns, first = _header(lines)
         except ValueError as error:
-            raise LogError(f"{path}: is a {WHAT} with {error}; is the file whole?") from error
+            raise LogError(f"{path}: is a {WHAT} with {error}", EXPORT_AGAIN) from error
         included = " ".join(keys.get("DATA_INCLUDED", ()))
         if included.startswith("2D"):
             raise LogError(

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tunenet_logs.episode import Episode
-from tunenet_logs.errors import LogError
+from tunenet_logs.errors import EXPORT_AGAIN, LogError
 from tunenet_logs.formats.exports.build import (
     export_episode,
     frame_stamps,
@@ -105,7 +105,8 @@ class TrackRows:
         if self.wrong > max(_MOST_WRONG, self.rows / 2):
             raise LogError(
                 f"{self.path}: is {self.tracks.named}, but {self.wrong} of its "
-                f"first {self.rows} rows hold cells that are no number; is the file whole?"
+                f"first {self.rows} rows hold cells that are no number",
+                EXPORT_AGAIN,
             )
 
     def episode(self, options: ReadOptions) -> Episode:
@@ -116,9 +117,7 @@ class TrackRows:
         """
         layout = self.tracks
         if not self.rows:
-            raise LogError(
-                f"{self.path}: is {layout.named} without a row of numbers; is the file whole?"
-            )
+            raise LogError(f"{self.path}: is {layout.named} without a row of numbers", EXPORT_AGAIN)
         stamps, keep, counts_frames, notes = self._stamps(options)
         signals, unused = [], {}
         drop = self._left_out()
@@ -166,7 +165,7 @@ class TrackRows:
         if times is not None:
             keep &= np.isfinite(frames)
         if not keep.any():
-            raise LogError(f"{self.path}: no row of it has a time or a frame; is the file whole?")
+            raise LogError(f"{self.path}: no row of it has a time or a frame", EXPORT_AGAIN)
         stamps = np.zeros(self.rows, np.int64)
         try:
             if times is None or options.rate_hz:
@@ -176,7 +175,7 @@ class TrackRows:
                 stamps[keep], counts_frames = time_stamps(exact), False
         except ValueError as error:
             raise LogError(
-                f"{self.path}: times or frames reach beyond all bounds; is the file whole?"
+                f"{self.path}: times or frames reach beyond all bounds", EXPORT_AGAIN
             ) from error
         _, _, notes = sorted_stamps(stamps[keep])
         first_ns = int(stamps[keep].min())

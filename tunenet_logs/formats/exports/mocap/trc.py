@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from tunenet_logs.episode import Episode
-from tunenet_logs.errors import LogError
+from tunenet_logs.errors import EXPORT_AGAIN, LogError
 from tunenet_logs.formats.exports.mocap.markers import (
     MarkerTrack,
     MarkerTracks,
@@ -52,7 +52,7 @@ def read_trc(path: Path, options: ReadOptions) -> Episode:
         try:
             cells = [header_cells(text, separator) for text in texts]
         except ValueError as error:
-            raise LogError(f"{path}: is a {WHAT} with {error}; is the file whole?") from error
+            raise LogError(f"{path}: is a {WHAT} with {error}", EXPORT_AGAIN) from error
         cells += [[] for _ in range(_HEADER_LINES - len(cells))]
         _, keys, values, names, axes = cells
         has_axes = any(map(_is_x, axes))
@@ -60,7 +60,7 @@ def read_trc(path: Path, options: ReadOptions) -> Episode:
         said = dict(zip((key.lower() for key in keys), values, strict=False))
         tracks = _tracks(said, names, axes if has_axes else ())
         if not tracks.tracks:
-            raise LogError(f"{path}: is a {WHAT} that names no marker; is the file whole?")
+            raise LogError(f"{path}: is a {WHAT} that names no marker", EXPORT_AGAIN)
         return read_tracks(path, lines, separator, tracks, first=first).episode(options)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tunenet_logs.episode import Episode
-from tunenet_logs.errors import LogError
+from tunenet_logs.errors import EXPORT_AGAIN, LogError
 from tunenet_logs.formats.exports.arrays.column_plan import ColumnPlan, plan_columns
 from tunenet_logs.formats.exports.arrays.named_columns import MOST_ROWS, check_rows, columns_episode
 from tunenet_logs.formats.exports.robots.joint_fields import joint_fields, tells_origin
@@ -61,7 +61,7 @@ def read_robot_table(path: Path, options: ReadOptions) -> Episode:
     first = list(islice(lines, _LOOK_LINES))
     found = _header([line or "" for line in first])
     if found is None:
-        raise LogError(f"{path}: the line of its columns' names is damaged; is the file whole?")
+        raise LogError(f"{path}: the line of its columns' names is damaged", EXPORT_AGAIN)
     at, separator, names = found
     rows = _Rows(plan_columns(path, names, options), separator)
     rows.read(path, chain(enumerate(first[at + 1 :], at + 2), enumerate(lines, len(first) + 1)))
