@@ -24,6 +24,7 @@ from tunenet_logs.episode import Episode
 from tunenet_logs.errors import LogError, NotFoundError, TuneNetError, UsageError
 from tunenet_logs.one_clock import on_one_clock
 from tunenet_logs.reader import read_episode
+from tunenet_logs.terminal import short_name
 
 
 class Stopwatch:
@@ -73,7 +74,8 @@ def tune_episode(
         kind = next(iter(shown or kinds()))
     ways = experiments_of(kind)
     if not ways:
-        reason = f"holds a {kind!r}; what can be tuned is: {', '.join(sorted(kinds()))}"
+        known = " or ".join(f"--task {name}" for name in sorted(kinds()))
+        reason = f"holds a {short_name(kind)!r}, which is not tuned; say what it shows: {known}"
         seconds = watch.seconds if watch else {}
         return Tuning(path, options.task, options.preset, "rejected", reason, seconds=seconds)
     # The first way that finds what it looks at; else the first, to say what it misses.

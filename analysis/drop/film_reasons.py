@@ -109,7 +109,7 @@ def too_small(track: Track, span: float) -> str:
             "px down, as a ball that rolls, or is filmed from above; at the next drop: let it fall "
             "onto the table, filmed from the side"
         )
-    return f"the ball moves by only {span:.0f} px: film it larger, from closer"
+    return f"the ball moves by only {span:.0f} px; at the next drop: film it larger, from closer"
 
 
 def why_not(track: Track, whole: BounceSamples, impacts: list[int], *, fitted: bool) -> str:

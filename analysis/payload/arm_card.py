@@ -87,7 +87,9 @@ class ArmCard:
         try:
             check_joints(self.joints, joints)
         except NotFoundError as error:
-            raise NotFoundError(f"{place}: {error}, or give that arm's card") from error
+            raise NotFoundError(
+                f"{place}: {error.what}", f"{error.remedy}, or give that arm's card"
+            ) from error
         if arm_sha256(arm) != self.arm_sha256 or arm_terms(arm) != self.terms:
             raise NotFoundError(
                 f"{place}: is of another arm, or of another description of it; give the card of "

@@ -201,18 +201,18 @@ def _checked_topic(episode: Episode, arm: Arm, topic: str) -> str:
     Raises:
         NotFoundError: it has no joints, or none of them is the arm's.
     """
-    reasons: list[str] = []
+    reasons: list[NotFoundError] = []
     for signal in episode.signals_of(topic):
         if signal.unit not in JOINT_UNITS:
             continue
         try:
             match_joints(arm.joint_names, signal.columns)
         except NotFoundError as error:
-            reasons.append(f"{_topic(signal)}: {error}")
+            reasons.append(NotFoundError(f"{_topic(signal)}: {error.what}", error.remedy))
         else:
             return _topic(signal)
     if reasons:
-        raise NotFoundError(reasons[0])
+        raise reasons[0]
     usable = {_topic(signal) for signal in episode.signals.values() if signal.unit in JOINT_UNITS}
     known = listed(sorted(usable)) or "none"
     what = f"no usable topic {topic} (there is: {known})"
@@ -233,17 +233,17 @@ def _pick(episode: Episode, unit: str, arm: Arm, topic: str | None, what: str) -
         measured = signal.values[:, np.isfinite(signal.values).any(axis=0)]
         finite = measured[np.isfinite(measured).all(axis=1)]
         is_still[signal.name] = not len(finite) or bool(np.all(np.ptp(finite, axis=0) == 0))
-    reasons: list[str] = []
+    reasons: list[NotFoundError] = []
     for signal in sorted(
         there, key=lambda signal: (_topic(signal) != topic, is_still[signal.name])
     ):
         try:
             match_joints(arm.joint_names, signal.columns)
         except NotFoundError as error:
-            reasons.append(f"{_topic(signal)}: {error}")
+            reasons.append(NotFoundError(f"{_topic(signal)}: {error.what}", error.remedy))
         else:
             return signal
-    raise NotFoundError(reasons[0])
+    raise reasons[0]
 
 
 def _left_out(episode: Episode, unit: str) -> str:

@@ -76,8 +76,8 @@ def match_joints(joints: Sequence[str], columns: Sequence[str]) -> tuple[int, ..
             first = ambiguous[0]
             names = " and ".join(short_name(columns[index]) for index in matches[first][:2])
             raise NotFoundError(
-                f"joint {joints[first]} could be {names}: name an arm whose joints are called "
-                "as one of them (--urdf FILE --tool-link LINK)"
+                f"joint {joints[first]} could be {names}",
+                "name an arm whose joints are called as one of them (--urdf FILE --tool-link LINK)",
             )
     found = enumerate(map(_GENERIC.fullmatch, columns))
     numbered = sorted((int(name[1]), k) for k, name in found if name)
@@ -88,9 +88,9 @@ def match_joints(joints: Sequence[str], columns: Sequence[str]) -> tuple[int, ..
     ]
     there = listed(map(short_name, columns))
     raise NotFoundError(
-        f"no joint of the log is {', '.join(missing or joints)} (there: {there}): record all "
-        "joints of the arm, or name the arm that it is of with --arm NAME, or with --urdf FILE "
-        "--tool-link LINK"
+        f"no joint of the log is {', '.join(missing or joints)} (there: {there})",
+        "record all joints of the arm, or name the arm that it is of with --arm NAME, or with "
+        "--urdf FILE --tool-link LINK",
     )
 
 
@@ -240,6 +240,6 @@ def check_joints(joints: Sequence[str], of_log: Sequence[str]) -> None:
     for other, own in zip(joints, of_log, strict=True):
         if other != own and not (_GENERIC.fullmatch(other) or _GENERIC.fullmatch(own)):
             raise NotFoundError(
-                f"its joint {short_name(other)} is {short_name(own)} in the log: name a run of the "
-                "same arm and driver"
+                f"its joint {short_name(other)} is {short_name(own)} in the log",
+                "name a run of the same arm and driver",
             )

@@ -31,6 +31,11 @@ _MOST_SEEDS = 500
 _FINALISTS = 60
 """Triples that grow once, and arcs that grow to the end: they bound the time of a busy film."""
 
+_CAMOUFLAGED = (
+    "the ball looks like what is behind it",
+    "mark it with --hsv; at the next drop: film it before a plain background of another colour",
+)
+
 _LEAST_GROWN = 5
 """Pictures of a triple that has grown once: with fewer it is not grown to the end."""
 
@@ -239,10 +244,10 @@ def same_arc(table: Candidates, frames: Index, gravity_px: Array, positions_px: 
     apart = np.linalg.norm(table.places_px[frames] - positions_px[frames][:, None], axis=2)
     apart = np.where(np.isfinite(apart), apart, np.inf)
     if not apart.size:
-        raise NotFoundError("the ball looks like what is behind it (mark it with --hsv)")
+        raise NotFoundError(*_CAMOUFLAGED)
     nearest = apart.argmin(axis=1)
     area = float(np.nanmedian(table.areas_px[frames, nearest]))
     near = apart[np.arange(len(nearest)), nearest] < SLACK_PX + np.sqrt(area / np.pi)
     if near.sum() < _LEAST_NEAR:
-        raise NotFoundError("the ball looks like what is behind it (mark it with --hsv)")
+        raise NotFoundError(*_CAMOUFLAGED)
     return Arc(frames[near], nearest[near], gravity_px)
