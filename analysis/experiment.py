@@ -11,7 +11,7 @@ from analysis.checks import Check, CrossCheck
 from analysis.estimators.base import FitResult, Problem, Step, Trace
 from analysis.motion import Motion
 from analysis.record import Rebound
-from analysis.selection import Selection
+from analysis.selection import Selection, Subject
 from analysis.tunenet.checkpoint import Purpose
 from analysis.tunenet.network import Network
 from analysis.tunenet.pairs import PairSet, Workers
@@ -128,6 +128,16 @@ class Experiment(Protocol):
     @property
     def occasion(self) -> str:
         """What a user does again where a log does not suffice, e.g. "drop"."""
+        ...
+
+    @property
+    def observed(self) -> str:
+        """What it looks at in a log, e.g. "pictures of a ball"."""
+        ...
+
+    @property
+    def takes(self) -> frozenset[Subject]:
+        """What may be said of it beforehand; other options change nothing."""
         ...
 
     @property

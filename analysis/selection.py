@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from recorders.simulators.balls import UNKNOWN_BALL, Ball
 from tunenet_logs.errors import NotFoundError
@@ -13,6 +14,12 @@ from tunenet_logs.formats.read_options import AS_IT_SAYS, ReadOptions
 if TYPE_CHECKING:
     from analysis.payload.arm_card import ArmCard
     from tunenet_logs.episode import Episode
+
+
+Subject = Literal["pictures", "ball", "height", "lengths", "arm"]
+"""What options are about; an experiment says which of them have an effect on it."""
+
+_BALL = "the ball's size and mass (--ball, --ball-diameter, --ball-mass)"
 
 
 @dataclass(frozen=True)
@@ -75,34 +82,30 @@ class Selection:
         return bool(self.torque_constants or self.reading.torque_constants)
 
     @property
-    def film_options(self) -> tuple[str, ...]:
-        """The options given that are for a film, as a user names them."""
-        given = {
-            "--roi": self.hints.roi is not None,
-            "--hsv": self.hints.hsv is not None,
-            "--ball-at": self.hints.ball_at is not None,
+    def given(self) -> Mapping[Subject, tuple[str, ...]]:
+        """The options given, as a user names them, by what they are about."""
+        said: Mapping[Subject, Mapping[str, bool]] = {
+            "pictures": {
+                "--roi": self.hints.roi is not None,
+                "--hsv": self.hints.hsv is not None,
+                "--ball-at": self.hints.ball_at is not None,
+            },
+            "ball": {_BALL: self.ball != UNKNOWN_BALL},
+            "height": {"--height": self.height_m is not None},
+            "lengths": {"--length-unit": bool(self.reading.length_unit)},
+            "arm": {
+                "--tare": bool(self.tares),
+                "--arm": isinstance(self.arm, str),
+                "--urdf": isinstance(self.arm, tuple),
+                "--gravity": self.gravity is not None,
+                "--effort-sign": self.effort_sign is not None,
+                "--effort-unit": self.effort_unit is not None,
+                "--torque-constants": self.of_currents,
+                "--arm-card": self.arm_card is not None,
+            },
         }
-        return tuple(name for name, is_given in given.items() if is_given)
-
-    @property
-    def ball_options(self) -> tuple[str, ...]:
-        """The options given that are for a ball, as a user names them."""
-        ball = ("the ball's size and mass",) if self.ball != UNKNOWN_BALL else ()
-        return (*self.film_options, *ball)
-
-    @property
-    def arm_options(self) -> tuple[str, ...]:
-        """The options given that are for an arm, as a user names them."""
-        given = {
-            "--tare": bool(self.tares),
-            "--arm": isinstance(self.arm, str),
-            "--urdf": isinstance(self.arm, tuple),
-            "--gravity": self.gravity is not None,
-            "--effort-sign": self.effort_sign is not None,
-            "--effort-unit": self.effort_unit is not None,
-            "--arm-card": self.arm_card is not None,
-        }
-        return tuple(name for name, is_given in given.items() if is_given)
+        named = {about: tuple(filter(said[about].get, said[about])) for about in said}
+        return {about: names for about, names in named.items() if names}
 
 
 @dataclass(frozen=True)

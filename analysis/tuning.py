@@ -115,8 +115,6 @@ def tune_detected(
     preset = experiment.presets[options.preset]
     method = method_named(options.method or preset.method)
     setup = _setup(preset, method, options)
-    unused = [f"--weights not used: the method {method.name} has no network"]
-    unused = unused if options.weights and not setup.model else []
     said = episode.warnings if episode else ()
     rejected = Tuning(
         path,
@@ -138,7 +136,14 @@ def tune_detected(
     except (NotFoundError, LogError) as error:
         watch.lap("observe")
         reason = str(error).removeprefix(f"{path}: ")
-        return replace(rejected, reason=reason, refused=detection, seconds=watch.seconds)
+        unused = unused_options(options, experiment, method, episode, None)
+        return replace(
+            rejected,
+            reason=reason,
+            refused=detection,
+            warnings=(*said, *unused),
+            seconds=watch.seconds,
+        )
     checks = experiment.checks(detection, trace.steps[-1], trace.fit)
     checks = (*log_checks(episode), *checks) if episode else checks
     cross_check = experiment.cross_check(detection, trace.estimate)
@@ -157,8 +162,7 @@ def tune_detected(
         warnings=(
             *said,
             *detection.warnings,
-            *unused,
-            *unused_options(options, experiment, method, detection),
+            *unused_options(options, experiment, method, episode, detection),
         ),
         simulator={
             "engine": problem.simulator.engine,

@@ -6,43 +6,51 @@ from typing import Any
 
 from analysis.estimators.base import Estimator
 from analysis.experiment import Experiment
+from analysis.registry import experiments_of
 from analysis.selection import Options
 from recorders.simulators.balls import UNKNOWN_BALL
-
-FIT = "fit"
-"""The method that needs no start."""
+from tunenet_logs.episode import Episode
 
 
 def unused_options(
-    options: Options, experiment: Experiment, method: type[Estimator], detection: Any
+    options: Options,
+    experiment: Experiment,
+    method: type[Estimator],
+    episode: Episode | None,
+    detection: Any,
 ) -> list[str]:
     """What was given for nothing, one line each with the reason.
 
-    What only a detection can tell (hints for pictures, an arm's options), it says itself.
-
     Args:
         options: of the user.
-        experiment: that was detected.
+        experiment: that was looked for.
         method: that estimates.
-        detection: of it.
+        episode: the log as it was read; None for a detection that was made without one.
+        detection: of it; None where it was not found.
     """
-    selection, reading = options.selection, options.selection.reading
-    has_positions = experiment.name == "drop"
+    selection = options.selection
     found: list[str] = []
-    if selection.height_m is not None and experiment.name != "drop-times":
-        found.append("--height not used: it is for logs of impact times alone")
-    if reading.length_unit and not has_positions:
-        found.append("--length-unit not used: no position is taken from the log")
-    if reading.torque_constants and experiment.kind != "payload":
-        found.append(f"--torque-constants not used: this is a {experiment.kind}")
-    if (
-        selection.ball != UNKNOWN_BALL
-        and experiment.name in ("drop", "drop-times")
-        and detection.ball.drag_1_m is None
-    ):
-        found.append(
-            "--ball-diameter not used: without --ball-mass it does not say what the air does"
-        )
-    if options.initial is not None and method.name == FIT:
-        found.append("--initial not used: a fit needs no start")
+    of_its_kind = {about for way in experiments_of(experiment.kind) for about in way.takes}
+    for about, names in selection.given.items():
+        if about in experiment.takes:
+            continue
+        why = f"it is tuned by {experiment.observed}"
+        if about not in of_its_kind:
+            why = f"this is a {experiment.kind}"
+        elif about == "pictures" and episode and episode.picture_topics:
+            why += f" (to use its pictures: --topic {episode.picture_topics[0]})"
+        found.append(f"{', '.join(names)} not used: {why}")
+    ball, takes = selection.ball, experiment.takes
+    sizes_pictures = "pictures" in takes  # their scale is checked by the ball's diameter
+    if detection and ball != UNKNOWN_BALL and "ball" in takes and not sizes_pictures:
+        if ball.mass_kg is None and detection.ball.drag_1_m is None:
+            found.append(
+                "--ball-diameter not used: without --ball-mass it does not say what the air does"
+            )
+    if options.weights and not method.uses_network:
+        found.append(f"--weights not used: the method {method.name} has no network")
+    if options.initial is not None and not method.takes_steps:
+        found.append(f"--initial not used: the method {method.name} needs no start")
+    if options.iterations != Options.iterations and not method.takes_steps:
+        found.append(f"--iterations not used: the method {method.name} spends none")
     return found

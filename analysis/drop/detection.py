@@ -286,7 +286,10 @@ class FilmDetection:
                 "cameras"
             )
             if self.ball.drag_1_m is not None:
-                found.append("the ball's mass and size not used: the paper's network has no air")
+                found.append(
+                    "the ball's size and mass (--ball, --ball-diameter, --ball-mass) not used: the "
+                    "paper's network has no air"
+                )
             return tuple(found)
         film = self.film
         if film.later_s:

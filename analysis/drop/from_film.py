@@ -20,7 +20,7 @@ from analysis.drop.problem import drop_problem
 from analysis.drop.rebounds import reported_rebounds
 from analysis.estimators.base import FitResult, Step
 from analysis.experiment import Claim
-from analysis.selection import Hints, Selection
+from analysis.selection import Hints, Selection, Subject
 from analysis.tracking.pictures import Pictures, one_thread
 from analysis.tracking.track import Track, track_ball
 from recorders.simulators.balls import completed, contradict, recorded_ball
@@ -47,6 +47,8 @@ class DropFromFilm:
     name = "drop-video"
     kind = "drop"
     occasion = "drop"
+    observed = "pictures of a ball"
+    takes: frozenset[Subject] = frozenset(("ball", "pictures"))
     presets = PRESETS
     problem = staticmethod(drop_problem)
     motion = staticmethod(tuned_motion)
@@ -173,8 +175,6 @@ def _detect_in(
             "damaged or a video's whose beginning is missing"
         )
         warnings.append(unread)
-    if selection.arm_options:
-        warnings.append(f"{', '.join(selection.arm_options)} not used: this is a drop")
     said = {f"{topic}: {words}" for words in pictures.jumps}
     warnings += sorted(said - set(episode.warnings))
     ball, is_timed = completed(selection.ball, recorded), not episode.frames_untimed

@@ -28,7 +28,7 @@ from analysis.drop.remedies import GOOD_DROP
 from analysis.drop.track_search import PositionTrack, is_something_else, moves_as_found
 from analysis.estimators.base import FitResult, Step
 from analysis.experiment import Claim
-from analysis.selection import Selection, check_start
+from analysis.selection import Selection, Subject, check_start
 from recorders.simulators.balls import completed, recorded_ball
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, Signal
@@ -60,6 +60,8 @@ class DropFromPositions:
     name = "drop"
     kind = "drop"
     occasion = "drop"
+    observed = "positions of a ball"
+    takes: frozenset[Subject] = frozenset(("ball", "lengths"))
     presets = PRESETS
     problem = staticmethod(drop_problem)
     motion = staticmethod(tuned_motion)
@@ -77,16 +79,6 @@ class DropFromPositions:
     def detect(self, episode: Episode, selection: Selection, preset: str) -> DropDetection:
         """The first drop of the ball's signal; see `Experiment.detect`."""
         reasons: list[tuple[str, NotFoundError]] = []
-        unused: list[str] = []
-        if selection.arm_options:
-            unused.append(f"{', '.join(selection.arm_options)} not used: this is a drop")
-        if selection.film_options:  # nobody should think that they had an effect
-            topics = episode.picture_topics
-            there = (
-                f"to use its pictures: --topic {topics[0]}" if topics else "it holds no pictures"
-            )
-            named = ", ".join(selection.film_options)
-            unused.append(f"{named} not used: the log holds the ball's position ({there})")
         found: DropDetection | None = None
         for signal in _candidates(episode, selection):
             try:
@@ -99,9 +91,9 @@ class DropFromPositions:
                 found = track_found
                 break
         if found is None or (reasons and is_something_else(found)):
-            why = "; ".join((_why_none(episode, reasons), *unused))
+            why = _why_none(episode, reasons)
             raise NotFoundError(why, reasons[0][1].remedy or GOOD_DROP)
-        return replace(found, warnings=(*found.warnings, *unused))
+        return found
 
     def checks(
         self, detection: DropDetection, last: Step, fit: FitResult | None

@@ -21,7 +21,7 @@ from analysis.drop.times.motion import heard_motion, heard_rebounds
 from analysis.drop.times.posterior import MOST_TIMES
 from analysis.estimators.base import FitResult, Step
 from analysis.experiment import Claim, Preset
-from analysis.selection import Selection, check_start
+from analysis.selection import Selection, Subject, check_start
 from recorders.simulators.balls import completed, recorded_ball
 from recorders.simulators.drop import REAL_BALL
 from tunenet_logs.arrays import Array
@@ -44,6 +44,8 @@ class DropFromTimes:
     name = "drop-times"
     kind = "drop"
     occasion = "drop"
+    observed = "times of impacts"
+    takes: frozenset[Subject] = frozenset(("ball", "height"))
     presets: ClassVar[dict[str, Preset]] = {"default": Preset(True, REAL_BALL, "fit")}
     problem = staticmethod(times_problem)
     motion = staticmethod(heard_motion)
@@ -68,11 +70,6 @@ class DropFromTimes:
         if len(names) > 1:
             others = ", ".join(names[1:4])
             warnings.append(f"{names[0]} is used, not {others} (see --topic)")
-        unused = [
-            f"{', '.join(given)} not used: the log holds impact times alone"
-            for given in (selection.film_options, selection.arm_options)
-            if given
-        ]
         if not len(signal.stamps_ns):
             raise NotFoundError(f"{signal.name}: holds no impact times", RIGHT_TIMES)
         check_start(selection.start_s, float(signal.seconds[-1]))
@@ -106,7 +103,7 @@ class DropFromTimes:
             times_s=times_s[:MOST_TIMES],
             rig=Rig(ball.drag_1_m, height_m, not signal.counts_frames),
             ball=ball,
-            warnings=(*warnings, *unused),
+            warnings=tuple(warnings),
         )
 
     def checks(

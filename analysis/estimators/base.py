@@ -230,6 +230,9 @@ class Estimator(ABC):
     takes_one_parameter: ClassVar[bool] = False
     """Whether it finds the first parameter alone; the others then stay at their first guess."""
 
+    takes_steps: ClassVar[bool] = True
+    """Whether it starts somewhere and spends rollouts."""
+
     @classmethod
     def build(cls, setup: Setup) -> Estimator:  # noqa: ARG003 (most methods need nothing)
         """The method as `--method` offers it."""

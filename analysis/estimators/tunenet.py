@@ -46,6 +46,7 @@ class ExactFit(Estimator):
     """Fits the closed-form model to every sample, from the middle of the parameters' ranges."""
 
     name = "fit"
+    takes_steps = False
 
     def estimate(self, problem: Problem, rollouts: int) -> Trace:  # noqa: ARG002 (needs none)
         """No rollout; see `Estimator.estimate`."""

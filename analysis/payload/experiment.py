@@ -27,7 +27,7 @@ from analysis.payload.secant import secant
 from analysis.payload.torque_terms import CURRENT_GAIN, GAIN
 from analysis.payload.which_arm import which_arm
 from analysis.record import Rebound
-from analysis.selection import Selection
+from analysis.selection import Selection, Subject
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
 
@@ -54,6 +54,8 @@ class PayloadExperiment:
     name = "payload"
     kind = "payload"
     occasion = "run"
+    observed = "torques of an arm"
+    takes: frozenset[Subject] = frozenset(("arm",))
     presets: Mapping[str, Preset] = PRESETS
 
     def claim(self, episode: Episode, topic: str | None) -> Claim:
@@ -78,8 +80,6 @@ class PayloadExperiment:
         )
         motion = arm_motion(log)
         warnings = [*chosen.remarks, *log.warnings]
-        if selection.ball_options:
-            warnings.append(f"{', '.join(selection.ball_options)} not used: this is a payload")
         card = selection.arm_card
         if card is not None:
             card.check_arm(arm, log.joints)

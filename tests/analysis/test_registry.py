@@ -15,7 +15,7 @@ from analysis.motion import Motion
 from analysis.record import Rebound
 from analysis.record_json import read_record, to_json
 from analysis.registry import EXPERIMENTS, METHODS, experiment_named, method_named
-from analysis.selection import Options, Selection
+from analysis.selection import Options, Selection, Subject
 from analysis.tuning import tune_episode, tune_log
 from recorders.simulators.base import Parameter
 from tests.conftest import record, tune_all
@@ -89,6 +89,8 @@ class TeaExperiment:
 
     name = kind = "tea"
     occasion = "cup"
+    observed = "temperatures of a cup"
+    takes: frozenset[Subject] = frozenset()
     presets: Mapping[str, Preset] = {"default": Preset(True, (RATE,), method="brent")}
 
     def claim(self, episode: Episode, topic: str | None) -> Claim:

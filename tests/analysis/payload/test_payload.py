@@ -266,7 +266,7 @@ def test_options_of_the_other_kind_are_said_to_have_no_effect(
     result = command("tunenet-tune", drop_log, "--tare", logs[1], "-o", tmp_path)
     assert "--tare not used: this is a drop" in result.stderr
     result = command("tunenet-tune", logs[0], "--ball", "golf", "-o", tmp_path)
-    assert "size and mass not used: this is a payload" in result.stderr
+    assert "--ball-mass) not used: this is a payload" in result.stderr
 
 
 def test_joints_without_torques_are_refused():
