@@ -8,8 +8,8 @@ from analysis.estimators.base import Estimator
 from analysis.experiment import Experiment
 from analysis.registry import experiments_of
 from analysis.selection import Options
-from recorders.simulators.balls import UNKNOWN_BALL
 from tunenet_logs.episode import Episode
+from tunenet_logs.unused_reading import CHANGED_NOTHING
 
 
 def unused_options(
@@ -31,8 +31,10 @@ def unused_options(
     selection = options.selection
     found: list[str] = []
     of_its_kind = {about for way in experiments_of(experiment.kind) for about in way.takes}
-    for about, names in selection.given.items():
-        if about in experiment.takes:
+    said = episode.warnings if episode else ()
+    for about, given in selection.given.items():
+        names = [name for name in given if f"{name} {CHANGED_NOTHING}" not in said]
+        if about in experiment.takes or not names:
             continue
         why = f"it is tuned by {experiment.observed}"
         if about not in of_its_kind:
@@ -40,13 +42,13 @@ def unused_options(
         elif about == "pictures" and episode and episode.picture_topics:
             why += f" (to use its pictures: --topic {episode.picture_topics[0]})"
         found.append(f"{', '.join(names)} not used: {why}")
-    ball, takes = selection.ball, experiment.takes
-    sizes_pictures = "pictures" in takes  # their scale is checked by the ball's diameter
-    if detection and ball != UNKNOWN_BALL and "ball" in takes and not sizes_pictures:
-        if ball.mass_kg is None and detection.ball.drag_1_m is None:
-            found.append(
-                "--ball-diameter not used: without --ball-mass it does not say what the air does"
-            )
+    ball = selection.ball
+    only_size = ball.diameter_m is not None and ball.mass_kg is None
+    needs_both = "ball" in experiment.takes and "pictures" not in experiment.takes
+    if detection and only_size and needs_both and detection.ball.drag_1_m is None:
+        found.append(
+            "--ball-diameter not used: without --ball-mass it does not say what the air does"
+        )
     if options.weights and not method.uses_network:
         found.append(f"--weights not used: the method {method.name} has no network")
     if options.initial is not None and not method.takes_steps:

@@ -27,6 +27,7 @@ from tunenet_logs.late_stamps import BY_ARRIVALS, STAMPS_NOTE
 from tunenet_logs.messages import INFO_RECORD
 from tunenet_logs.one_clock import jump_warnings
 from tunenet_logs.topic_contents import ReadingPlan, TopicContents
+from tunenet_logs.unused_reading import unused_reading
 
 _FREE_PIXELS = 50_000_000
 """Of the pictures of a whole log, whatever its size is: a second of decoding."""
@@ -65,7 +66,8 @@ def read_episode(path: Path, options: ReadOptions = AS_IT_SAYS) -> Episode:
     container = registry.open_log(path, options)
     if isinstance(container, Episode):
         jumps = jump_warnings(container, by_channel=True)
-        return replace(container, warnings=(*container.warnings, *jumps))
+        unused = unused_reading(path, container, options, registry.open_log)
+        return replace(container, warnings=(*container.warnings, *jumps, *unused))
     losses: list[Loss] = []
     plan = ReadingPlan(path, options)
     info: Mapping[str, str] = {}

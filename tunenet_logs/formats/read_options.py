@@ -70,17 +70,22 @@ class ReadOptions:
     @property
     def given(self) -> tuple[str, ...]:
         """The options given, as a user names them."""
-        named = {
-            "--columns": bool(self.columns),
-            "--fps": self.rate_hz is not None,
-            "--length-unit": bool(self.length_unit),
-            "--torque-constants": bool(self.torque_constants),
-        }
-        return tuple(name for name, is_given in named.items() if is_given)
+        plain = AS_IT_SAYS
+        return tuple(
+            name for name, field in FIELDS.items() if getattr(self, field) != getattr(plain, field)
+        )
 
 
 AS_IT_SAYS = ReadOptions()
 """Nothing said."""
+
+FIELDS = {
+    "--columns": "columns",
+    "--fps": "rate_hz",
+    "--length-unit": "length_unit",
+    "--torque-constants": "torque_constants",
+}
+"""Of `ReadOptions`, by the options that users know."""
 
 
 def columns_of(text: str) -> dict[str, str]:

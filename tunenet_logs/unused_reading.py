@@ -1,0 +1,70 @@
+"""Which of the things said of a file made no difference to how it is read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tunenet_logs.episode import Episode, Signal
+from tunenet_logs.errors import LogError
+from tunenet_logs.formats.read_options import AS_IT_SAYS, FIELDS, ReadOptions
+
+if TYPE_CHECKING:
+    from tunenet_logs.formats.base import Container
+
+CHANGED_NOTHING = "changed nothing: the file reads the same without"
+
+
+def unused_reading(
+    path: Path,
+    episode: Episode,
+    options: ReadOptions,
+    read: Callable[[Path, ReadOptions], Container | Episode],
+) -> tuple[str, ...]:
+    """A line for each option without which a file reads the same.
+
+    Pictures and tables are not asked about what always counts there: their rate, their columns.
+
+    Args:
+        path: of a file of no messages.
+        episode: as it was read with the options.
+        options: what its user says of it.
+        read: reads it.
+    """
+    has_pictures = episode.open_frames is not None
+    is_table = episode.info.source.startswith("table ")
+    counts = {"--fps": has_pictures, "--columns": is_table}
+    found: list[str] = []
+    for name in options.given:
+        if counts.get(name):
+            continue
+        if not has_pictures or episode.signals:
+            field = FIELDS[name]
+            without = replace(options, **{field: getattr(AS_IT_SAYS, field)})
+            try:
+                other = read(path, without)
+            except LogError:
+                continue
+            if not isinstance(other, Episode) or not _is_same(episode, other):
+                continue
+        found.append(f"{name} {CHANGED_NOTHING}")
+    return tuple(found)
+
+
+def _is_same(one: Episode, other: Episode) -> bool:
+    return list(one.signals) == list(other.signals) and all(
+        map(_is_same_signal, one.signals.values(), other.signals.values())
+    )
+
+
+def _is_same_signal(one: Signal, other: Signal) -> bool:
+    facts = [(each.columns, each.unit, each.counts_frames) for each in (one, other)]
+    return (
+        facts[0] == facts[1]
+        and np.array_equal(one.stamps_ns, other.stamps_ns)
+        and np.array_equal(one.values, other.values, equal_nan=True)
+    )
