@@ -9,7 +9,7 @@ from analysis.experiment import Experiment
 from analysis.registry import experiments_of
 from analysis.selection import Options
 from tunenet_logs.episode import Episode
-from tunenet_logs.unused_reading import CHANGED_NOTHING
+from tunenet_logs.unused_reading import said_unused
 
 
 def unused_options(
@@ -33,7 +33,7 @@ def unused_options(
     of_its_kind = {about for way in experiments_of(experiment.kind) for about in way.takes}
     said = episode.warnings if episode else ()
     for about, given in selection.given.items():
-        names = [name for name in given if f"{name} {CHANGED_NOTHING}" not in said]
+        names = [name for name in given if not said_unused(name, said)]
         if about in experiment.takes or not names:
             continue
         why = f"it is tuned by {experiment.observed}"

@@ -22,12 +22,12 @@ from tunenet_logs.formats.base import (
 from tunenet_logs.formats.pictures import frames_of
 from tunenet_logs.formats.read_options import AS_IT_SAYS, ReadOptions
 from tunenet_logs.images import FREE_VIDEO_PIXELS, VIDEO_PIXELS_A_BYTE
-from tunenet_logs.import_notes import rate_is_unused, restored
+from tunenet_logs.import_notes import restored
 from tunenet_logs.late_stamps import BY_ARRIVALS, STAMPS_NOTE
 from tunenet_logs.messages import INFO_RECORD
 from tunenet_logs.one_clock import jump_warnings
 from tunenet_logs.topic_contents import ReadingPlan, TopicContents
-from tunenet_logs.unused_reading import unused_reading
+from tunenet_logs.unused_reading import unused_of_messages, unused_reading
 
 _FREE_PIXELS = 50_000_000
 """Of the pictures of a whole log, whatever its size is: a second of decoding."""
@@ -44,8 +44,6 @@ log, and its bytes for each beyond."""
 
 _MOST_LOSSES = 5
 """Places of damage that are named one by one among the warnings; the rest is counted."""
-
-_RATE_UNUSED = "--fps not used: its messages have times of their own"
 
 _LAST_NS = 2**63 - 1
 """The last stamp that fits int64: in the year 2262."""
@@ -94,7 +92,7 @@ def read_episode(path: Path, options: ReadOptions = AS_IT_SAYS) -> Episode:
     contents = list(dict.fromkeys(by_channel.values()))
     about = EpisodeInfo.from_strings(info)
     episode = restored(_episode(path, container, losses, about, contents, plan), options)
-    unused = (_RATE_UNUSED,) if rate_is_unused(episode, options) else ()
+    unused = unused_of_messages(episode, options)
     return replace(episode, warnings=(*episode.warnings, *jump_warnings(episode), *unused))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,11 +12,39 @@ import numpy as np
 from tunenet_logs.episode import Episode, Signal
 from tunenet_logs.errors import LogError
 from tunenet_logs.formats.read_options import AS_IT_SAYS, FIELDS, ReadOptions
+from tunenet_logs.import_notes import rate_is_unused
 
 if TYPE_CHECKING:
     from tunenet_logs.formats.base import Container
 
-CHANGED_NOTHING = "changed nothing: the file reads the same without"
+_CHANGED_NOTHING = "not used: the file reads the same without"
+
+_NO_RATE = "--fps not used: its messages have times of their own"
+_NO_CURRENTS = (
+    "--torque-constants not used: no current is read of its messages (where its efforts are "
+    "currents, add --effort-unit A)"
+)
+
+
+def said_unused(name: str, warnings: Iterable[str]) -> bool:
+    """Whether one of the warnings says that an option changed nothing."""
+    return any(warning.startswith(f"{name} not used") for warning in warnings)
+
+
+def unused_of_messages(episode: Episode, options: ReadOptions) -> tuple[str, ...]:
+    """A line for each option that counts for nothing in a log of messages.
+
+    Args:
+        episode: as it was read with the options.
+        options: what its user says of it.
+    """
+    reads_currents = any(name.startswith("current") for name in options.columns)
+    has_constants = bool(options.torque_constants)
+    lines = {
+        _NO_RATE: rate_is_unused(episode, options),
+        _NO_CURRENTS: has_constants and not reads_currents,
+    }
+    return tuple(filter(lines.get, lines))
 
 
 def unused_reading(
@@ -51,7 +79,7 @@ def unused_reading(
                 continue
             if not isinstance(other, Episode) or not _is_same(episode, other):
                 continue
-        found.append(f"{name} {CHANGED_NOTHING}")
+        found.append(f"{name} {_CHANGED_NOTHING}")
     return tuple(found)
 
 

@@ -30,6 +30,7 @@ from analysis.record import Rebound
 from analysis.selection import Selection, Subject
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
+from tunenet_logs.unused_reading import said_unused
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -92,6 +93,9 @@ class PayloadExperiment:
             for field in fields
             for signal in episode.signals_of(field.topic)
         )
+        are_currents = selection.of_currents and not said_unused(
+            "--torque-constants", episode.warnings
+        )
         return PayloadDetection(
             physical=PRESETS[preset].physical,
             arm=arm,
@@ -102,7 +106,7 @@ class PayloadExperiment:
             conventions=conventions_of(selection),
             warnings=tuple(warnings),
             card=card,
-            gain=CURRENT_GAIN if selection.of_currents else GAIN,
+            gain=CURRENT_GAIN if are_currents else GAIN,
         )
 
     def problem(self, detection: PayloadDetection, initial: Array) -> Problem:
