@@ -44,8 +44,7 @@ def unused_options(
         found.append(f"{', '.join(names)} not used: {why}")
     ball = selection.ball
     only_size = ball.diameter_m is not None and ball.mass_kg is None
-    needs_both = "ball" in experiment.takes and "pictures" not in experiment.takes
-    if detection and only_size and needs_both and detection.ball.drag_1_m is None:
+    if detection and only_size and "ball" in experiment.takes and not detection.uses_ball:
         found.append(
             "--ball-diameter not used: without --ball-mass it does not say what the air does"
         )

@@ -73,6 +73,11 @@ class DropDetection:
     film: None = None
 
     @property
+    def uses_ball(self) -> bool:
+        """Whether what is known of the ball has an effect: on the air's drag."""
+        return self.ball.drag_1_m is not None
+
+    @property
     def tells_speed(self) -> bool:
         """Whether metres and seconds are known."""
         return self.units.tell_speed
@@ -180,6 +185,13 @@ class FilmDetection:
     track_warnings: tuple[str, ...] = ()
     outliers: int = 0
     is_timed: bool = True
+
+    @property
+    def uses_ball(self) -> bool:
+        """Whether what is known of the ball has an effect: on drag, or on the film's scale."""
+        return self.ball.drag_1_m is not None or (
+            self.is_timed and self.height_m is None and self.ball.diameter_m is not None
+        )
 
     @property
     def units(self) -> Units:

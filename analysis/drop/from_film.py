@@ -164,8 +164,7 @@ def _detect_in(
     recorded = recorded_ball(episode.info)
     if contradict(selection.ball, recorded):
         warnings.append(
-            f"the log's ball ({recorded.words}) is not the one given ({selection.ball.words}); "
-            "the given one is used"
+            f"the log's ball ({recorded.words}) is not the one given ({selection.ball.words})"
         )
     unread = ""
     recorded_count = sum(one.messages for one in episode.channels if one.topic == topic)

@@ -1,61 +1,157 @@
-"""An option that changes nothing of a log says so; one that changes something does not."""
+"""Whatever is said of a log changes its record, or a warning says that it did not."""
 
-import json
-import subprocess
-import sys
+from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
+from analysis.record import Tuning
+from analysis.tune_options import TuneOptions, options_of
+from analysis.tuning import tune_log
 from tests.test_sample_logs import FOLDER
+from tunenet_logs.reader import read_episode
 
-BIN = Path(sys.executable).parent
+ARMS = Path(__file__).parents[2] / "recorders" / "simulators" / "arm" / "known"
 
-NOTHING = [
-    ("dull", ("--height", "1"), "--height not used"),
-    ("dull", ("--fps", "50"), "--fps not used"),
-    ("dull", ("--torque-constants", "3"), "--torque-constants not used"),
-    ("dull", ("--ball-diameter", "0.1"), "--ball-diameter not used"),
-    ("dull", ("--roi", "0,0,9,9"), "--roi not used"),
-    ("dull", ("--arm", "jaco6"), "--arm not used"),
-    ("dull", ("--method", "fit", "--initial", "0.3"), "--initial not used"),
-    ("filmed", ("--height", "1"), "--height not used"),
-    ("filmed", ("--length-unit", "mm"), "--length-unit not used"),
-    ("payload", ("--height", "1"), "--height not used"),
-    ("payload", ("--length-unit", "mm"), "--length-unit not used"),
-    ("payload", ("--ball", "golf"), "the ball's size and mass not used"),
-]
+SAID: Mapping[str, Mapping[str, Any]] = {
+    "--ball": {"ball": "golf"},
+    "--ball-diameter": {"ball_diameter_m": 0.2},
+    "--ball-mass": {"ball_diameter_m": 0.1, "ball_mass_kg": 0.02},
+    "--height": {"height_m": 1.3},
+    "--roi": {"roi": (0, 0, 9, 9)},
+    "--hsv": {"hsv": ((0, 0, 0), (9, 9, 9))},
+    "--ball-at": {"ball_at": (5.0, 5.0, 0.0)},
+    "--fps": {"fps": 50.0},
+    "--length-unit": {"length_unit": "mm"},
+    "--torque-constants": {"torque_constants": "3"},
+    "--arm": {"arm": "ur5e"},
+    "--urdf": {"urdf": ARMS / "ur5e.urdf", "tool_link": "tool0"},
+    "--gravity": {"gravity": "compensated"},
+    "--effort-sign": {"effort_sign": "load"},
+    "--effort-unit": {"effort_unit": "A", "torque_constants": "3"},
+    "--tare": {"tares": [FOLDER / "payload.mcap"]},
+    "--topic": {"topic": "/nowhere"},
+    "--start": {"start_s": 0.9},
+    "--end": {"end_s": 0.9},
+    "--iterations": {"iterations": 2},
+    "--initial": {"initial": 0.3},
+}
+"""One value of each option, which no log below says itself."""
 
 
-def _tuned(log: Path, *words: str, folder: Path) -> dict:
-    line = [BIN / "tunenet-tune", log, *words, "-o", folder, "--overwrite"]
-    line += ["--json", "-", "--no-review", "--quiet"]
-    done = subprocess.run(line, check=False, capture_output=True, text=True)
-    assert done.stdout, done.stderr
-    return json.loads(done.stdout)
+def _track_csv(path: Path, header: str) -> Path:
+    """A ball of restitution .8, let go at 1 m, with 1 mm of noise."""
+    seconds = np.arange(0, 2.5, 1 / 120)
+    heights = np.ones(len(seconds))
+    start_s, speed, gravity = 0.3, 0.0, 9.81
+    begin_m = 1.0
+    while start_s < seconds[-1]:
+        since = np.maximum(seconds - start_s, 0)
+        flight = begin_m + speed * since - gravity * since**2 / 2
+        heights = np.where(seconds >= start_s, np.maximum(flight, 0), heights)
+        hits_s = (speed + np.sqrt(speed**2 + 2 * gravity * begin_m)) / gravity
+        speed, start_s, begin_m = 0.8 * (gravity * hits_s - speed), start_s + hits_s, 0.0
+        if hits_s < 1e-3:
+            break
+    heights += np.random.default_rng(1).normal(size=len(heights)) * 1e-3
+    rows = zip(seconds, heights, strict=True)
+    path.write_text(f"{header}\n" + "".join(f"{t:.6f},{z:.6f}\n" for t, z in rows))
+    return path
+
+
+def _times_csv(path: Path) -> Path:
+    times_s = 0.5 + np.cumsum([0.0, *(0.72 * 0.8 ** np.arange(7))])
+    path.write_text("".join(f"{one:.6f}\n" for one in times_s))
+    return path
 
 
 @pytest.fixture(scope="module")
-def plain(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict]:
-    folder = tmp_path_factory.mktemp("plain")
-    names = {name for name, _, _ in NOTHING}
-    return {name: _tuned(FOLDER / f"{name}.mcap", folder=folder) for name in names}
+def logs(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, tuple[Path, Mapping[str, Any]]]:
+    """By name, with what has to be said of each."""
+    folder = tmp_path_factory.mktemp("logs")
+    return {
+        "positions": (FOLDER / "dull.mcap", {}),
+        "film": (FOLDER / "filmed.mcap", {}),
+        "payload": (FOLDER / "payload.mcap", {}),
+        "table": (_track_csv(folder / "table.csv", "time (s),z (m)"), {}),
+        "bare": (_track_csv(folder / "bare.csv", "time (s),z"), {}),
+        "times": (_times_csv(folder / "times.csv"), {"columns": "times=1"}),
+    }
 
 
-@pytest.mark.parametrize(("name", "words", "said"), NOTHING)
-def test_what_changes_nothing_says_so(
-    name: str, words: tuple[str, ...], said: str, plain: dict[str, dict], tmp_path: Path
+@cache
+def _plain(log: Path, words: tuple[tuple[str, Any], ...]) -> Tuning:
+    return tune_log(log, options_of(dict(words)))  # pyright: ignore[reportArgumentType]
+
+
+def _outcome(tuning: Tuning) -> str:
+    """All that a user may see of what came out, without its times and warnings."""
+    steps = [step.values.tolist() for step in tuning.trace.steps] if tuning.trace else []
+    checks = [(check.name, check.passed, check.detail) for check in tuning.checks]
+    return repr((tuning.verdict, tuning.reason, steps, checks, tuning.cross_check))
+
+
+@pytest.mark.parametrize("option", SAID)
+@pytest.mark.parametrize("name", ["positions", "film", "payload", "table", "bare", "times"])
+def test_an_option_changes_the_record_or_a_warning_names_it(
+    name: str, option: str, logs: Mapping[str, tuple[Path, Mapping[str, Any]]]
 ) -> None:
-    tuned = _tuned(FOLDER / f"{name}.mcap", *words, folder=tmp_path)
-    assert tuned["parameters"] == plain[name]["parameters"]
-    assert any(warning.startswith(said) for warning in tuned["warnings"])
-    assert not any("not used" in warning for warning in plain[name]["warnings"])
+    log, words = logs[name]
+    plain = _plain(log, tuple(words.items()))
+    assert plain.verdict == "ok"
+    assert not any("not used" in warning for warning in plain.warnings)
+    said = {**words, **SAID[option]}
+    tuning = tune_log(log, options_of(said))  # pyright: ignore[reportArgumentType]
+    unused = [warning for warning in tuning.warnings if "not used" in warning]
+    names_it = any(option in warning.split(" not used")[0] for warning in unused)
+    changes = _outcome(tuning) != _outcome(plain)
+    assert changes or names_it
+    if names_it and option != "--initial":  # which a fit's first iterate is made of
+        assert not changes
 
 
-@pytest.mark.parametrize("words", [("--ball", "table-tennis"), ("--length-unit", "mm")])
-def test_what_changes_something_does_not(
-    words: tuple[str, ...], plain: dict[str, dict], tmp_path: Path
+@pytest.mark.parametrize("option", ["--iterations", "--initial"])
+def test_a_fit_needs_no_start_and_no_rollouts(option: str) -> None:
+    plain = tune_log(FOLDER / "dull.mcap", options_of({"method": "fit"}))
+    said: Any = {"method": "fit", **SAID[option]}
+    tuning = tune_log(FOLDER / "dull.mcap", options_of(said))
+    assert tuning.trace is not None
+    assert plain.trace is not None
+    assert tuning.trace.estimate == pytest.approx(plain.trace.estimate)
+    assert any(warning.startswith(f"{option} not used") for warning in tuning.warnings)
+
+
+def test_a_log_without_a_drop_says_what_was_not_used(tmp_path: Path) -> None:
+    log = tmp_path / "still.csv"
+    log.write_text("time (s),z (m)\n" + "".join(f"{k / 100},1\n" for k in range(200)))
+    tuning = tune_log(log, options_of({"arm": "ur5e", "roi": (0, 0, 9, 9)}))
+    assert tuning.verdict == "rejected"
+    assert [warning.split(" not used")[0] for warning in tuning.warnings] == ["--roi", "--arm"]
+
+
+@pytest.mark.parametrize(
+    ("said", "unused"),
+    [
+        ({"fps": 60.0}, ["--fps"]),
+        ({"columns": "t=1,z=2"}, []),  # a table's columns are what was said, whatever they would be
+        ({"length_unit": "m", "fps": 60.0, "torque_constants": "3"}, None),
+    ],
+)
+def test_a_table_reads_the_same_without(
+    said: dict[str, Any], unused: list[str] | None, tmp_path: Path
 ) -> None:
-    tuned = _tuned(FOLDER / "dull.mcap", *words, folder=tmp_path)
-    assert tuned["parameters"] != plain["dull"]["parameters"]
-    assert not any("not used" in warning for warning in tuned["warnings"])
+    log = _track_csv(tmp_path / "table.csv", "time (s),z (m)")
+    reading = options_of(said).selection.reading  # pyright: ignore[reportArgumentType]
+    warnings = read_episode(log, reading).warnings
+    expected = ["--fps", "--length-unit", "--torque-constants"] if unused is None else unused
+    assert [warning.split(" not used")[0] for warning in warnings] == expected
+
+
+def test_every_option_about_a_log_is_tried() -> None:
+    tried = {name for said in SAID.values() for name in said}
+    about_the_method = {"task", "preset", "method", "weights"}
+    need_a_file_or_columns = {"arm_card", "columns"}
+    assert set(TuneOptions.__annotations__) - tried == about_the_method | need_a_file_or_columns

@@ -61,6 +61,11 @@ class TimesDetection:
     ball: Ball
     warnings: tuple[str, ...] = ()
 
+    @property
+    def uses_ball(self) -> bool:
+        """Whether what is known of the ball has an effect: on the air's drag."""
+        return self.ball.drag_1_m is not None
+
     @cached_property
     def heard(self) -> HeardBall:
         """The ball that explains the times.
