@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal
 from recorders.simulators.balls import UNKNOWN_BALL, Ball
 from tunenet_logs.errors import NotFoundError
 from tunenet_logs.formats.read_options import AS_IT_SAYS, ReadOptions
+from tunenet_logs.terminal import listed
 
 if TYPE_CHECKING:
     from analysis.payload.arm_card import ArmCard
@@ -104,7 +105,9 @@ class Selection:
                 "--arm-card": self.arm_card is not None,
             },
         }
-        named = {about: tuple(filter(said[about].get, said[about])) for about in said}
+        named: dict[Subject, tuple[str, ...]] = {
+            about: tuple(filter(options.get, options)) for about, options in said.items()
+        }
         return {about: names for about, names in named.items() if names}
 
 
@@ -144,3 +147,17 @@ def check_start(start_s: float | None, length_s: float) -> None:
             f"--start {start_s:g} is past the end: the recording is {length_s:.2f} s long",
             "give an earlier one, or leave it out",
         )
+
+
+def no_topic(topic: str, usable: Iterable[str]) -> NotFoundError:
+    """A topic was named that shows nothing; the message lists those that do.
+
+    Args:
+        topic: that was named.
+        usable: those of the log that can be.
+    """
+    known = listed(sorted(usable))
+    remedy = "name one of these with --topic, or leave it out"
+    if not known:
+        remedy = "leave --topic out; see with tunenet-logs info what the log holds"
+    return NotFoundError(f"no usable topic {topic} (there is: {known or 'none'})", remedy)

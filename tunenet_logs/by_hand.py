@@ -107,7 +107,7 @@ class HandPicked:
         return LogError(
             f"{self._path}: no topic of --columns {target}={text[:80]} "
             f"(there are: {listed(topics)})",
-            f"name one of these{example}",
+            f"name one of these{example}" if topics else "leave --columns out",
         )
 
 

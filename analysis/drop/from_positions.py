@@ -25,10 +25,11 @@ from analysis.drop.problem import drop_problem
 from analysis.drop.rebounds import reported_rebounds
 from analysis.drop.recorded_height import position_signals
 from analysis.drop.remedies import GOOD_DROP
+from analysis.drop.times.detection import signals_in
 from analysis.drop.track_search import PositionTrack, is_something_else, moves_as_found
 from analysis.estimators.base import FitResult, Step
 from analysis.experiment import Claim
-from analysis.selection import Selection, Subject, check_start
+from analysis.selection import Selection, Subject, check_start, no_topic
 from recorders.simulators.balls import completed, recorded_ball
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, Signal
@@ -137,11 +138,8 @@ def _candidates(episode: Episode, selection: Selection) -> list[Signal]:
         positions = position_signals(episode.signals_of(selection.topic))
         if not positions:
             usable = {name for name, one in episode.signals.items() if one.is_position}
-            known = listed(sorted({*usable, *episode.picture_topics})) or "none"
-            raise NotFoundError(
-                f"no usable topic {selection.topic} (there is: {known})",
-                "name one of these with --topic, or leave it out",
-            )
+            heard = signals_in(episode, None)
+            raise no_topic(selection.topic, {*usable, *episode.picture_topics, *heard})
     else:
         positions = position_signals(episode.signals.values())
     if not positions:

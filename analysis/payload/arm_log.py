@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from analysis.payload.driver_quirks import in_newton_metres, in_radians, match_joints
 from analysis.payload.new_samples import new_samples
-from analysis.selection import check_start
+from analysis.selection import check_start, no_topic
 from recorders.simulators.arm.description import Arm
 from tunenet_logs.arrays import Array
 from tunenet_logs.clock_jumps import part_on_grid
@@ -214,9 +214,7 @@ def _checked_topic(episode: Episode, arm: Arm, topic: str) -> str:
     if reasons:
         raise reasons[0]
     usable = {_topic(signal) for signal in episode.signals.values() if signal.unit in JOINT_UNITS}
-    known = listed(sorted(usable)) or "none"
-    what = f"no usable topic {topic} (there is: {known})"
-    raise NotFoundError(what, "name one of these with --topic, or leave it out")
+    raise no_topic(topic, usable)
 
 
 def _pick(episode: Episode, unit: str, arm: Arm, topic: str | None, what: str) -> Signal:
