@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 from recorders.simulators.balls import UNKNOWN_BALL, Ball
 from tunenet_logs.errors import NotFoundError
 from tunenet_logs.formats.read_options import AS_IT_SAYS, ReadOptions
-from tunenet_logs.terminal import listed
+from tunenet_logs.terminal import FEW_NAMES, listed
 
 if TYPE_CHECKING:
     from analysis.payload.arm_card import ArmCard
@@ -156,7 +156,7 @@ def no_topic(topic: str, usable: Iterable[str]) -> NotFoundError:
         topic: that was named.
         usable: those of the log that can be.
     """
-    known = listed(sorted(usable))
+    known = listed(sorted(usable), FEW_NAMES)
     remedy = "name one of these with --topic, or leave it out"
     if not known:
         remedy = "leave --topic out; see with tunenet-logs info what the log holds"

@@ -72,12 +72,10 @@ _CONDITION = re.compile(r"(?:if|where|first|then|or|and|either)\b[^,;:]*, |first
 
 
 def has_remedy(reason: str) -> bool:
-    """Whether the last part of a line is an order, or what to do at the next drop or run."""
-    if re.search(r"at the next \w+: ", reason):
-        return True
-    clauses = re.split(r"; |: (?=[a-z])|\? ", reason)
-    last = clauses[-3:]
-    return any(_is_order(clause) for clause in last)
+    """Whether a line ends with an order, or with one for the next drop or run."""
+    last = reason.rsplit("; ", 1)[-1]
+    order = re.split(r"at the next \w+: ", last, maxsplit=1)[-1]
+    return any(map(_is_order, (last, order, *re.split(r"[:?] ", last)[1:])))
 
 
 def _is_order(clause: str) -> bool:

@@ -15,6 +15,9 @@ from tunenet_logs.progress import heard_by
 _MOST_CHARACTERS = 60
 """Of a name: with them, the rest of its line still fits a wide terminal."""
 
+FEW_NAMES = 6
+"""Names that a reason lists: it is one line."""
+
 _MOST_NAMES = 20
 """In one sentence; the rest is counted: nobody reads more of them."""
 
@@ -55,11 +58,11 @@ def terminal_columns() -> int | None:
     return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
 
 
-def listed(names: Iterable[str]) -> str:
-    """Names one after the other; of very many the first, and how many more there are."""
+def listed(names: Iterable[str], most: int = _MOST_NAMES) -> str:
+    """Names one after the other; beyond `most` of them how many more there are."""
     every = list(names)
-    more = len(every) - _MOST_NAMES
-    return ", ".join(every[:_MOST_NAMES]) + (f" and {more} more" if more > 0 else "")
+    more = len(every) - most
+    return ", ".join(every[:most]) + (f" and {more} more" if more > 0 else "")
 
 
 class Bar(Protocol):

@@ -132,6 +132,10 @@ class DropFromPositions:
         return log_drop(stream, tuning)
 
 
+_FEW_TYPES = 2
+"""Channels that are listed with their types where none is of use: it is one line."""
+
+
 def _candidates(episode: Episode, selection: Selection) -> list[Signal]:
     """Position signals in the order in which to try them."""
     if selection.topic is not None:
@@ -143,7 +147,8 @@ def _candidates(episode: Episode, selection: Selection) -> list[Signal]:
     else:
         positions = position_signals(episode.signals.values())
     if not positions:
-        seen = listed(f"{one.topic} ({one.type_name or 'no type'})" for one in episode.channels)
+        types = (f"{one.topic} ({one.type_name or 'no type'})" for one in episode.channels)
+        seen = listed(types, _FEW_TYPES)
         raise NotFoundError(
             f"no channel with a ball's position or with pictures (channels: {seen or 'none'})",
             "record one of them, or say which column is which with --columns (docs/formats.md)",

@@ -3,8 +3,8 @@
 _NEXT = "at the next drop:"
 
 GOOD_DROP = (
-    f"{_NEXT} let the ball fall from rest, from 0.3 to 2 m, onto a level, hard floor, and record "
-    "from before it falls, all bounces in view, until it lies still (docs/camera.md)"
+    f"{_NEXT} let the ball fall from rest, from 0.3 to 2 m, onto a hard floor, in view until it "
+    "lies still (docs/camera.md)"
 )
 """How a good drop looks: for recordings in which there is nothing like one."""
 

@@ -22,7 +22,7 @@ from tunenet_logs.arrays import Array
 from tunenet_logs.clock_jumps import part_on_grid
 from tunenet_logs.episode import Episode, Signal
 from tunenet_logs.errors import NotFoundError
-from tunenet_logs.terminal import listed
+from tunenet_logs.terminal import FEW_NAMES, listed
 
 JOINT_UNITS = ("N·m", "rad")
 """Of the two fields that a payload is found from: what has one is of joints, whatever its name."""
@@ -128,8 +128,8 @@ def read_arm_log(
         topic = _checked_topic(episode, arm, topic)
     if torque_constants and "N·m" not in {signal.unit for signal in episode.signals.values()}:
         raise NotFoundError(
-            f"no efforts to take as currents (there: {listed(tuple(episode.signals))}): leave "
-            "--effort-unit out; --torque-constants alone is for a table's columns of currents"
+            f"no efforts to take as currents (there: {listed(episode.signals, FEW_NAMES)})",
+            "leave --effort-unit out (--torque-constants alone is for a table's currents)",
         )
     effort = _pick(episode, "N·m", arm, topic, "joint torques")
     in_topic = [signal.unit for signal in episode.signals.values() if _topic(signal) == topic]
@@ -223,7 +223,7 @@ def _pick(episode: Episode, unit: str, arm: Arm, topic: str | None, what: str) -
     if not there:
         left_out = _left_out(episode, unit)
         raise NotFoundError(
-            f"no {what} in this log (there: {listed(tuple(episode.signals))}){left_out}",
+            f"no {what} in this log (there: {listed(episode.signals, FEW_NAMES)}){left_out}",
             _RECORD_REMEDY,
         )
     is_still: dict[str, bool] = {}

@@ -13,7 +13,7 @@ from recorders.simulators.arm.description import Arm
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Signal
 from tunenet_logs.errors import NotFoundError
-from tunenet_logs.terminal import listed, short_name
+from tunenet_logs.terminal import FEW_NAMES, listed, short_name
 
 _NOT_OF_THE_ARM = re.compile(r"finger|gripper|knuckle|thumb|wheel", re.I)
 """Names that end in a number too, but not in that of a joint of the arm."""
@@ -86,7 +86,7 @@ def match_joints(joints: Sequence[str], columns: Sequence[str]) -> tuple[int, ..
     missing = [
         joint for joint in joints if not any(_is_joint_number(joint, name) for name in columns)
     ]
-    there = listed(map(short_name, columns))
+    there = listed(map(short_name, columns), FEW_NAMES)
     raise NotFoundError(
         f"no joint of the log is {', '.join(missing or joints)} (there: {there})",
         "record all joints of the arm, or name the arm that it is of with --arm NAME, or with "

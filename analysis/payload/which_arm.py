@@ -12,7 +12,7 @@ from recorders.simulators.arm.description import Arm, read_arm
 from recorders.simulators.arm.known_arms import DEFAULT, KnownArm, arms_called, in_words, known_arm
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import NotFoundError
-from tunenet_logs.terminal import listed, short_name
+from tunenet_logs.terminal import FEW_NAMES, listed, short_name
 
 _SIX = tuple(f"joint_{number}" for number in range(1, 7))
 """Joints that are only numbered, one fewer than the default arm has."""
@@ -65,8 +65,8 @@ def which_arm(
             if _fits(_SIX, columns):
                 raise NotFoundError(
                     "joints that do not say whose they are "
-                    f"({listed(map(short_name, columns))}): name the arm with --arm, such as "
-                    f"--arm jaco6, or {_OTHER}"
+                    f"({listed(map(short_name, columns), FEW_NAMES)})",
+                    f"name the arm with --arm, such as --arm jaco6, or {_OTHER}",
                 )
     return _default(there)
 

@@ -154,10 +154,9 @@ def _arc_of(table: Candidates, least_frames: int = LEAST_FRAMES) -> Arc:
     arc = longest_arc(table, least_frames)
     if arc is None:
         raise NotFoundError(
-            "no ball is seen to fly: nothing in the pictures moves along a parabola, as a drop "
-            "does that is filmed from the side",
-            f"{_MARK} if it is hard to see (--preview: with a click), or at the next drop: film it "
-            "from the side, with light and a plain background (docs/camera.md)",
+            "no ball is seen to fly: nothing moves along a parabola, as a drop does from the side",
+            f"{_MARK} (--preview: with a click), or at the next drop: film it from the side, with "
+            "light and a plain background (docs/camera.md)",
         )
     return arc
 

@@ -20,6 +20,9 @@ from tests import hostile
 from tests.remedies import has_remedy
 from tunenet_logs.errors import NotFoundError
 
+_LONGEST = 350
+"""Characters of a reason: two wide lines of a terminal, with names of topics in them."""
+
 ROOT = Path(__file__).parents[2]
 REAL = Path("/work/shared/real")
 
@@ -32,6 +35,9 @@ REAL = Path("/work/shared/real")
         ("it is small; record it larger", True),
         ("it is small; at the next drop: film it larger", True),
         ("no usable topic /a; there is: /b", False),
+        ("record it larger; it is small", False),
+        ("it is cut; is the file whole?", False),
+        ("holds a tea; say what it shows: --task drop", True),
     ],
 )
 def test_the_law_tells_a_remedy_from_none(reason: str, has: bool) -> None:
@@ -125,6 +131,18 @@ def test_a_part_of_a_log_in_which_there_is_nothing(name: str, selection: Selecti
     _check(ROOT / "sample_logs" / f"{name}.mcap", Options(selection=selection))
 
 
+@pytest.mark.parametrize("task", ["drop", "payload"])
+@pytest.mark.parametrize("fraction", [0.02, 0.3, 0.7])
+@pytest.mark.parametrize("name", ["dull", "filmed", "payload"])
+def test_a_log_that_is_cut_or_of_another_task(
+    name: str, fraction: float, task: str, tmp_path: Path
+) -> None:
+    whole = (ROOT / "sample_logs" / f"{name}.mcap").read_bytes()
+    log = tmp_path / "cut.mcap"
+    log.write_bytes(whole[: int(fraction * len(whole))])
+    _check(log, Options(task=task), must_be_rejected=False)
+
+
 @pytest.mark.parametrize("fault", TRACK_FAULTS, ids=lambda fault: fault.name)
 def test_a_faulty_track(fault: TrackFault) -> None:
     reasons: list[str] = []
@@ -155,3 +173,5 @@ def _check(log: Path, options: Options | None = None, *, must_be_rejected: bool 
     if tuning.verdict == "rejected":
         assert tuning.reason is not None
         assert has_remedy(tuning.reason), f"{log.name}: {tuning.reason}"
+        assert "\n" not in tuning.reason
+        assert len(tuning.reason) <= _LONGEST, f"{log.name}: {tuning.reason}"
