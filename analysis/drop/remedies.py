@@ -15,13 +15,13 @@ FILM_MORE = (
     "lies still (docs/camera.md)"
 )
 
-LET_GO = f"{_NEXT} let go of the ball at rest, above the floor, and touch it no more"
+LET_GO = f"{_NEXT} let go of the ball at rest, and touch it no more"
 
 DENSER = (
     f"{_NEXT} record at a higher rate, 60 samples a second or more, from before it falls until it "
     "lies still"
 )
 
-RIGHT_LENGTHS = "name the unit of the lengths with --length-unit m, cm, mm, in or ft"
+RIGHT_LENGTHS = "name the unit with --length-unit m, cm, mm, in or ft"
 
 RIGHT_TIMES = "give the times of impacts in seconds, those of one ball alone (--start, --end)"

@@ -267,7 +267,7 @@ def _arm_check(name: str, residual: FitResidual, arm_odds: float, advice: str) -
         f"{100 * _MOST_RMS:.0f}); torques change by {100 * spread:.1f} %"
     )
     if lost:
-        detail = f"these torques fit no arm, whatever their sign and gravity: {detail}"
+        detail = f"these torques fit no arm, of either sign: {detail}"
     return Check(name, rms < _MOST_RMS and not lost, detail, fatal=lost, advice=advice)
 
 
