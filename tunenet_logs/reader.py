@@ -87,7 +87,7 @@ def read_episode(path: Path, options: ReadOptions = AS_IT_SAYS) -> Episode:
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror})", CHECK_DISK) from error
     if not topics and not info and not all(loss.harmless for loss in losses):
-        why = next(str(loss) for loss in losses if not loss.harmless)
+        why = "; ".join([str(loss) for loss in losses if not loss.harmless][:2])
         raise LogError(f"{path}: nothing in it can be read: {why}", COPY_AGAIN)
     contents = list(dict.fromkeys(by_channel.values()))
     about = EpisodeInfo.from_strings(info)
