@@ -17,6 +17,7 @@ from analysis.evaluation.video.tracks import draw_scene
 from analysis.selection import Options, Selection
 from analysis.tuning import tune_log
 from tests import hostile
+from tests.conftest import real
 from tests.remedies import has_remedy
 from tunenet_logs.errors import NotFoundError
 
@@ -24,7 +25,6 @@ _LONGEST = 350
 """Characters of a reason: two wide lines of a terminal, with names of topics in them."""
 
 ROOT = Path(__file__).parents[2]
-REAL = Path("/work/shared/real")
 
 
 @pytest.mark.parametrize(
@@ -155,13 +155,18 @@ def test_a_faulty_track(fault: TrackFault) -> None:
     assert all(map(has_remedy, reasons)), reasons
 
 
-@pytest.mark.skipif(not REAL.is_dir(), reason="the real recordings are not on this machine")
 @pytest.mark.parametrize(
-    "place",
-    ["negatives/*.mp4", "labs/*", "ros1/*.bag", "mcap_rosbag2/*.mcap", "mcap_conformance/On*sum*"],
+    ("folder", "names"),
+    [
+        ("negatives", "*.mp4"),
+        ("labs", "*"),
+        ("ros1", "*.bag"),
+        ("mcap_rosbag2", "*.mcap"),
+        ("mcap_conformance", "On*sum*"),
+    ],
 )
-def test_real_files(place: str) -> None:
-    files = sorted(REAL.glob(place))
+def test_real_files(folder: str, names: str) -> None:
+    files = sorted(real(folder).glob(names))
     assert files
     for log in files[:12]:
         _check(log, must_be_rejected=False)
