@@ -7,15 +7,16 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from analysis.batch.batch_file import check_batch_file
 from analysis.batch.one_log import Result
 from analysis.batch.result_names import OF_BATCH, result_files, result_names
 from analysis.batch.run import Order
 from analysis.record_json import record_fields
-from analysis.result_files import check_writable, replacing, writable
+from analysis.result_files import replacing, writable
 from tunenet_logs.commandline import is_stdout
 from tunenet_logs.errors import UsageError
 from tunenet_logs.json_lines import json_line
-from tunenet_logs.regular_file import open_regular, real_path
+from tunenet_logs.regular_file import real_path
 
 _BEGINS = b'{"path": '
 """A file of such lines."""
@@ -48,27 +49,10 @@ def check_lines(path: Path, order: Order, *, overwrite: bool) -> None:
     if is_stdout(path):
         return
     place = real_path(path)
-    if any(isinstance(one.log, Path) and real_path(one.log) == place for one in order.logs):
-        raise UsageError(f"{path}: is a log of this batch; give --json another file")
     names = [*result_names(order.logs, order.folder), (order.folder or Path()) / OF_BATCH]
     if any(place == real_path(file) for name in names for file in result_files(name)):
         raise UsageError(f"{path}: is where a log's own results go; give --json another file")
-    if path.parent.is_dir() or order.folder is None or place.parent != real_path(order.folder):
-        check_writable(path, "--json")
-    if path.exists() and not overwrite and not _is_lines(path):
-        raise UsageError(
-            f"{path}: exists, and was not written by --json; give it another file, or pass "
-            "--overwrite"
-        )
-
-
-def _is_lines(path: Path) -> bool:
-    try:
-        with open_regular(path) as file:
-            begins = file.read(len(_BEGINS))
-    except OSError:
-        return False
-    return begins in (b"", _BEGINS)
+    check_batch_file(path, "--json", _BEGINS, order.logs, order.folder, overwrite=overwrite)
 
 
 @contextmanager

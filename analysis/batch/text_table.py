@@ -6,11 +6,11 @@ import csv
 from collections.abc import Iterable
 from pathlib import Path
 
+from analysis.batch.batch_file import check_batch_file
 from analysis.batch.found_logs import FoundLog
 from analysis.batch.ledger import Ledger
-from analysis.result_files import check_writable, replacing
+from analysis.result_files import replacing
 from tunenet_logs.errors import UsageError
-from tunenet_logs.regular_file import open_regular, real_path
 
 _BEGINS = b"log,"
 """A text table of a ledger: its first column."""
@@ -33,25 +33,7 @@ def check_csv(path: Path, folder: Path, logs: Iterable[FoundLog] = (), *, overwr
     """
     if path.suffix.lower() in _NOT_ITS:
         raise UsageError(f"{path}: is a name of other results; give --csv a name such as all.csv")
-    place = real_path(path)
-    if any(isinstance(one.log, Path) and real_path(one.log) == place for one in logs):
-        raise UsageError(f"{path}: is a log of this batch; give --csv another file")
-    if path.parent.is_dir() or real_path(path.parent) != real_path(folder):
-        check_writable(path, "--csv")
-    if path.exists() and not overwrite and not _is_table(path):
-        raise UsageError(
-            f"{path}: exists, and is no table of a ledger; give --csv another file, or pass "
-            "--overwrite"
-        )
-
-
-def _is_table(path: Path) -> bool:
-    try:
-        with open_regular(path) as file:
-            begins = file.read(len(_BEGINS))
-    except OSError:
-        return False
-    return begins in (b"", _BEGINS)
+    check_batch_file(path, "--csv", _BEGINS, logs, folder, overwrite=overwrite)
 
 
 def write_csv(ledger: Ledger, path: Path) -> None:

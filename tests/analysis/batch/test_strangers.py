@@ -27,7 +27,7 @@ def test_a_text_table_never_replaces_what_is_none(tmp_path: Path, name: str, com
     words = ("tunenet-tune", str(log), "-o", str(tmp_path / "out"), "--no-review", "--csv")
     done = command(*words, str(target))
     assert done.returncode == 2
-    assert "is no table of a ledger" in done.stderr
+    assert "was not written by --csv" in done.stderr
     assert target.read_bytes() == b"t,x,y,z\n0,0,0,1\n"
     for more in ((), ("--overwrite",)):  # a log is lost by no option
         done = command(*words, str(log), *more)
