@@ -94,7 +94,7 @@ def test_seven_joints_of_no_name_are_the_jacos_and_said_so(of: str, before: str)
 def test_what_fits_several_and_not_the_default_asks_for_a_name():
     with pytest.raises(NotFoundError, match=r"UR5e or .* UR10e.*--arm ur5e or --arm ur10e"):
         which_arm(log("ur5e"), None, None)
-    with pytest.raises(NotFoundError, match=r"\(joint_1, .*joint_6\): name the arm.*--urdf"):
+    with pytest.raises(NotFoundError, match=r"\(joint_1, .*joint_6\); name the arm.*--urdf"):
         which_arm(called(log("jaco6"), *numbered("joint_", 6)), None, None)
     named = which_arm(called(log("jaco6"), *numbered("joint_", 6)), "jaco6", None)
     assert len(named.arm.joints) == 6
