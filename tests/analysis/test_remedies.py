@@ -158,7 +158,7 @@ def test_a_faulty_track(fault: TrackFault) -> None:
 @pytest.mark.parametrize(
     ("folder", "names"),
     [
-        ("negatives", "*.mp4"),
+        pytest.param("negatives", "*.mp4", marks=pytest.mark.slow),
         ("labs", "*"),
         ("ros1", "*.bag"),
         ("mcap_rosbag2", "*.mcap"),

@@ -192,7 +192,7 @@ def test_a_campaign_has_its_rates_balls_and_attempts(
 @pytest.mark.parametrize(
     "name",
     [
-        "videos/red_ball_drop_120fps.mp4",
+        pytest.param("videos/red_ball_drop_120fps.mp4", marks=pytest.mark.slow),
         "labs/motive_basketball_10.csv",
         "ros1/jaco2_no_effort.bag",
     ],

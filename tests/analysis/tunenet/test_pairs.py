@@ -41,7 +41,9 @@ def test_processes_make_the_bits_that_one_makes(name: str):
 
 
 @pytest.mark.live
-@pytest.mark.parametrize("name", ["drop paper-code", "payload default"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("drop paper-code", marks=pytest.mark.slow), "payload default"]
+)
 def test_a_cluster_makes_the_same_bits(name: str):
     pytest.importorskip("ray")
     assert _made(PRESETS[name], 1).tobytes() == _made(PRESETS[name], Cluster(HERE, 2)).tobytes()
@@ -74,6 +76,7 @@ def test_weights_do_not_depend_on_the_number_of_processes(command: Command, tmp_
 
 
 @pytest.mark.live
+@pytest.mark.slow
 def test_weights_are_the_same_from_a_cluster(command: Command, tmp_path: Path):
     pytest.importorskip("torch")
     pytest.importorskip("ray")
