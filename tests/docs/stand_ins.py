@@ -37,7 +37,7 @@ def make(path: Path) -> None:
 
     One is made in the folder where it is wanted: a JSON by tuning the log that it is of.
     """
-    if path.exists():
+    if path.exists() or any(path.parent.glob(path.name)):
         return
     for pattern, write in STAND_INS.items():
         if fnmatch.fnmatch(path.name, pattern):

@@ -61,9 +61,9 @@ def is_a_mention(command: Shown) -> bool:
 def is_run(command: Shown, *, slow: bool) -> bool:
     if not is_ours(command) or is_a_mention(command):
         return False
-    if reason(SLOW, command.text):
-        return slow
-    return reason(NOT_RUN, command.text) is None and not _is_fragment(command)
+    if reason(NOT_RUN, command.text) or _is_fragment(command):
+        return False
+    return slow or not reason(SLOW, command.text)
 
 
 def _is_fragment(command: Shown) -> bool:
