@@ -85,13 +85,16 @@ class Preset:
         physical: whether its value is the object's own, or a number of one engine's settings.
         parameters: what is estimated with it.
         method: which is used unless the user names another; see `registry.METHODS`.
-        training: of its network; None for an experiment without one.
+        training: of its network; None for an experiment without one, or whose problems train
+            their own.
+        starts_as_given: whether every method starts from the parameters' own initial values.
     """
 
     physical: bool
     parameters: tuple[Parameter, ...]
     method: str
     training: Training | None = None
+    starts_as_given: bool = False
 
 
 def presets_of(

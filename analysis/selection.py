@@ -14,6 +14,7 @@ from tunenet_logs.terminal import FEW_NAMES, listed
 
 if TYPE_CHECKING:
     from analysis.payload.arm_card import ArmCard
+    from analysis.sysid.source import SimulatorSource
     from tunenet_logs.episode import Episode
 
 
@@ -121,6 +122,7 @@ class Options:
         initial: one value a parameter; None for the method's own.
         method: one of `registry.METHODS`; None for the preset's.
         weights: None for those that the package ships.
+        source: of the user's own simulator; None for those of the experiments.
     """
 
     task: str | None = None
@@ -130,6 +132,7 @@ class Options:
     method: str | None = None
     weights: Path | None = None
     selection: Selection = field(default_factory=Selection)
+    source: SimulatorSource | None = None
 
 
 def check_start(start_s: float | None, length_s: float) -> None:

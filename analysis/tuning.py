@@ -64,6 +64,10 @@ def tune_episode(
 ) -> Tuning:
     """Tune from an episode in memory, as `tune_log` does from a file."""
     episode = on_one_clock(episode)
+    if options.source is not None:
+        from analysis.sysid.experiment import SimulatorExperiment
+
+        return _tuned_as(SimulatorExperiment(options.source), episode, options, path, watch)
     topic = options.selection.topic
     kind = options.task or episode.info.kind
     if not kind:
@@ -80,6 +84,17 @@ def tune_episode(
         return Tuning(path, options.task, options.preset, "rejected", reason, seconds=seconds)
     # The first way that finds what it looks at; else the first, to say what it misses.
     experiment = next((way for way in ways if way.claim(episode, topic)), ways[0])
+    return _tuned_as(experiment, episode, options, path, watch)
+
+
+def _tuned_as(
+    experiment: Experiment,
+    episode: Episode,
+    options: Options,
+    path: Path,
+    watch: Stopwatch | None,
+) -> Tuning:
+    """Tune to what an experiment finds in an episode."""
     return tune_detected(
         experiment,
         lambda: experiment.detect(episode, options.selection, options.preset),
@@ -183,7 +198,9 @@ def _initial(preset: Preset, method: type[Estimator], options: Options) -> Array
         names = ", ".join(parameter.name for parameter in parameters)
         raise UsageError(f"{len(given)} initial values; at most one for each of: {names}")
     usual = [
-        parameter.initial if method.uses_network else sum(parameter.training_range) / 2
+        parameter.initial
+        if method.uses_network or preset.starts_as_given
+        else sum(parameter.training_range) / 2
         for parameter in parameters
     ]
     return np.array([*given, *usual[len(given) :]])
@@ -193,6 +210,8 @@ def _setup(preset: Preset, method: type[Estimator], options: Options) -> Setup:
     """What the method is built from; weights are read only for one that uses them."""
     if not method.uses_network:
         return Setup()
+    if preset.training is None and preset.starts_as_given:
+        return Setup()  # the problem trains its own
     if preset.training is None:
         raise UsageError(f"method {method.name} needs a network, which this task has not")
     purpose = preset.training.purpose

@@ -91,12 +91,14 @@ class FitResult:
         interval95: lower and upper end for each, shape (P, 2).
         extra: what else it finds.
         detail: the fit itself, for the experiment's own checks and review.
+        path: values on the way, each of shape (P,) or more, where it goes step by step.
     """
 
     values: Array
     interval95: Array
     extra: tuple[ExtraEstimate, ...] = ()
     detail: Any = None
+    path: tuple[Array, ...] = ()
 
 
 class Problem:
@@ -110,8 +112,9 @@ class Problem:
             parameters; the others stay as the simulator has them.
         residual_units: one unit of a network's answer in each parameter's unit, shape (P,); all 1
             if None.
-        exact_fit: from P starting values to the parameters that explain every sample best, without
-            rollouts; it returns None where the log shows too little. None where no such fit exists.
+        exact_fit: from P starting values to the parameters that explain every sample best; it
+            returns None where the log shows too little. None where no such fit exists.
+        train: trains a network for this problem alone; None where one is shipped, or none exists.
 
     Raises:
         UsageError: an initial value is missing, not finite or out of bounds.
@@ -125,6 +128,7 @@ class Problem:
         initial: Array,
         exact_fit: Callable[[Array], FitResult | None] | None = None,
         residual_units: Array | None = None,
+        train: Callable[[], Model] | None = None,
     ) -> None:
         self.target = target
         self.simulator = simulator
@@ -133,6 +137,7 @@ class Problem:
         self.rollouts = 0
         """Simulator runs so far: every method pays for each."""
         self.exact_fit = exact_fit
+        self.train = train
         if len(initial) != len(self.parameters):
             names = ", ".join(parameter.name for parameter in simulator.parameters)
             raise UsageError(f"{len(initial)} initial values for {names}; give one for each")

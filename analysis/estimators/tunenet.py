@@ -10,6 +10,10 @@ from tunenet_logs.arrays import Array
 from tunenet_logs.errors import NotFoundError
 
 
+_MOST_SHOWN = 5
+"""Steps of a fit that goes step by step, of which each has a rollout to be shown."""
+
+
 class TuneNet(Estimator):
     """Adds the network's estimate of the parameter residual, K times (eq. 5), within bounds.
 
@@ -19,17 +23,18 @@ class TuneNet(Estimator):
     name = "tunenet"
     uses_network = True
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: Model | None) -> None:
         self._model = model
 
     @classmethod
     def build(cls, setup: Setup) -> TuneNet:
         """See `Estimator.build`."""
-        assert setup.model is not None
         return cls(setup.model)
 
     def estimate(self, problem: Problem, rollouts: int) -> Trace:
         """One rollout an iteration; see `Estimator.estimate`."""
+        model = self._model or (problem.train and problem.train())
+        assert model is not None
         values = problem.initial
         steps: list[Step] = []
         for _ in range(rollouts):
@@ -37,7 +42,7 @@ class TuneNet(Estimator):
             evaluation = problem.evaluate(values)
             steps.append(Step(values, spent, evaluation))
             simulated, target = evaluation.observation.values, problem.target.values
-            values = problem.clamp(values + residual_of(self._model, problem, simulated, target))
+            values = problem.clamp(values + residual_of(model, problem, simulated, target))
         steps.append(Step(values, problem.rollouts))
         return Trace(tuple(steps))
 
@@ -84,4 +89,12 @@ def fitted(trace: Trace, problem: Problem) -> Trace:
     fit = problem.exact_fit(trace.estimate)
     if fit is None:
         return trace
-    return Trace((*trace.steps, Step(fit.values, problem.rollouts)), fit)
+    on_the_way = [
+        Step(values[: len(fit.values)], problem.rollouts) for values in _thinned(fit.path[1:-1])
+    ]
+    return Trace((*trace.steps, *on_the_way, Step(fit.values, problem.rollouts)), fit)
+
+
+def _thinned(path: tuple[Array, ...]) -> tuple[Array, ...]:
+    """A few of the values on the way of a fit, in their order."""
+    return path[:: len(path) // _MOST_SHOWN + 1]

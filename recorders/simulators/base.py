@@ -31,6 +31,8 @@ class Parameter:
         bounds: smallest and largest value that physics allows.
         training_range: from where training pairs are drawn.
         initial: the guess that tuning starts from.
+        prior_sd: how far off that guess may be, one standard deviation, where it is measured and
+            not chosen, as a log's initial state is; None for what is tuned.
     """
 
     name: str
@@ -38,6 +40,7 @@ class Parameter:
     bounds: tuple[float, float]
     training_range: tuple[float, float]
     initial: float
+    prior_sd: float | None = None
 
     def checked(self, value: float) -> float:
         """`value`, if the engine may see it.

@@ -1,0 +1,172 @@
+"""Checks of a tuned simulator: does it move as the log does, and does the log tell its numbers?"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from analysis.checks import Check
+from analysis.sysid.advice import excitation
+from analysis.sysid.compared import Compared
+from analysis.sysid.fit import GOOD_SHARE, SimulatorFit
+from recorders.simulators.base import Parameter
+from tunenet_logs.arrays import Array
+from tunenet_logs.terminal import listed
+
+_MOVES = 5.0
+"""Times its noise that a column has to vary by, one at least."""
+
+_REJECT_SHARE = 0.5
+_NOISES = 1.3
+"""Times the noise that a column may keep where that is more than its share."""
+
+_HELD_OUT_FACTOR = 2.0
+_SLACK_SHARE = 0.02
+"""Of a column's spread: a prediction that is closer than this is good whatever the fit left."""
+
+_EDGE_SHARE = 0.002
+"""Of a range: a value that is closer to its end lies on it."""
+
+_FEW = 4
+_WRONG_MODEL = (
+    "check the model: masses, lengths, gravity, missing joints, and what --map takes for what"
+)
+
+
+def recording_checks(target: Compared) -> tuple[Check, ...]:
+    """What the log itself shows."""
+    ratios = [column.spread / max(column.noise, 1e-12) for column in target.columns]
+    best = int(np.argmax(ratios))
+    detail = (
+        f"{target.columns[best].label} varies by {ratios[best]:.3g} times its noise (wanted: "
+        f"{_MOVES:g} or more)"
+    )
+    advice = "record while it moves"
+    return (Check("it moves", ratios[best] >= _MOVES, detail, fatal=True, advice=advice),)
+
+
+def match_check(target: Compared, residuals: Array) -> Check:
+    """Whether what the simulator leaves of each column is its noise, or little of its motion."""
+    left = target.rms(residuals)
+    share, worst = 0.0, target.columns[0]
+    limits = [
+        max(_NOISES * column.noise, GOOD_SHARE * column.spread) / max(column.spread, 1e-12)
+        for column in target.columns
+    ]
+    over = [
+        rms / max(column.spread, 1e-12) / limit
+        for rms, column, limit in zip(left, target.columns, limits, strict=True)
+    ]
+    place = int(np.argmax(over))
+    worst = target.columns[place]
+    share = left[place] / max(worst.spread, 1e-12)
+    detail = (
+        f"{100 * share:.3g} % of how much {worst.label} varies is left, rms (wanted: under "
+        f"{100 * limits[place]:.3g} %)"
+    )
+    return Check(
+        "simulation matches",
+        over[place] < 1,
+        detail,
+        fatal=share > _REJECT_SHARE,
+        advice=_WRONG_MODEL,
+    )
+
+
+def fit_checks(found: SimulatorFit) -> tuple[Check, ...]:
+    """What an exact fit shows beyond its values."""
+    checks = [_range_check(found), _told_check(found)]
+    if found.held_out is not None:
+        checks.insert(0, _held_out_check(found))
+    if found.step_shift is not None:
+        checks.append(_step_check(found))
+    return tuple(checks)
+
+
+def _held_out_check(found: SimulatorFit) -> Check:
+    """Whether a fit to the beginning predicts the end, and better than the simulator as it was."""
+    held_out = found.held_out
+    assert held_out is not None
+    target = found.target
+    inside = target.rms(found.solution.residuals)
+    over: list[float] = []
+    for number, column in enumerate(target.columns):
+        floor = max(inside[number], column.noise)
+        allowed = max(_HELD_OUT_FACTOR * floor, floor + _SLACK_SHARE * column.spread)
+        over.append(held_out.rms[number] / max(allowed, 1e-12))
+    place = int(np.argmax(over))
+    column = target.columns[place]
+    unit = "" if column.unit == "1" else f" {column.unit}"
+    detail = (
+        f"from {held_out.from_s:.2f} s on, {column.label} is {held_out.rms[place]:.3g}{unit} off, "
+        f"{held_out.before[place]:.3g} before tuning (wanted: under "
+        f"{held_out.rms[place] / max(over[place], 1e-12):.3g})"
+    )
+    return Check("predicts what it was not fitted to", over[place] < 1, detail, advice=_WRONG_MODEL)
+
+
+def _range_check(found: SimulatorFit) -> Check:
+    values = found.solution.values
+    edged = [
+        one.name
+        for one, value in zip(_tuned(found), values, strict=False)
+        if _is_at_an_end(one, float(value))
+    ]
+    detail = f"on the end: {listed(edged, _FEW)}" if edged else "no value lies on its range's end"
+    advice = "widen the range with --tune, and check the model: something in it may be off"
+    return Check("inside its range", not edged, detail, advice=advice)
+
+
+def _is_at_an_end(parameter: Parameter, value: float) -> bool:
+    """Whether a value lies on or beyond its range's end; not so of an end that physics sets."""
+    (low, high), (least, most) = parameter.training_range, parameter.bounds
+    slack = _EDGE_SHARE * (high - low)
+    is_low = value <= low + slack and low > least
+    return is_low or (value >= high - slack and high <= most)
+
+
+def _told_check(found: SimulatorFit) -> Check:
+    untold = found.untold
+    if not untold:
+        return Check("the log tells every parameter", True, "each within a quarter of its range")
+    words: list[str] = []
+    for parameter in untold:
+        partners = _partners(found, parameter)
+        along = f" (only together with {listed(partners, _FEW)})" if partners else ""
+        words.append(f"{parameter.name}{along}")
+    detail = f"not told: {'; '.join(words)}"
+    advice = excitation(untold[0].name, _partners(found, untold[0]))
+    return Check("the log tells every parameter", False, detail, advice=advice, doubts_model=False)
+
+
+def _partners(found: SimulatorFit, parameter: Parameter) -> list[str]:
+    """Other untold parameters that what is seen mixes with this one."""
+    place = found.parameters.index(parameter)
+    row = found.correlation[place]
+    return [
+        one.name
+        for number, one in enumerate(_tuned(found))
+        if number != place and abs(row[number]) > 0.9 and one in found.untold
+    ]
+
+
+def _step_check(found: SimulatorFit) -> Check:
+    shift = found.step_shift
+    assert shift is not None
+    ratios = shift[: found.tuned] / np.maximum(found.half95[: found.tuned], 1e-300)
+    place = int(np.argmax(ratios))
+    name = found.parameters[place].name
+    detail = (
+        f"half the step moves {name} by {shift[place]:.2g}, {100 * ratios[place]:.0f} % of its "
+        "interval's half (wanted: under 60 %)"
+    )
+    return Check(
+        "the step is short enough",
+        ratios[place] < 0.6,
+        detail,
+        advice="shorten the model's timestep",
+        doubts_model=False,
+    )
+
+
+def _tuned(found: SimulatorFit) -> tuple[Parameter, ...]:
+    return found.parameters[: found.tuned]

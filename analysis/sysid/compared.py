@@ -1,0 +1,173 @@
+"""What of a log is compared with what of a rollout: columns of one name, at the log's stamps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from tunenet_logs.arrays import Array
+from tunenet_logs.episode import Episode
+from tunenet_logs.errors import NotFoundError
+
+_MOST_SAMPLES = 20_000
+"""Of one column; more are thinned, as neighbours then tell the same."""
+
+_LEAST_SAMPLES = 20
+
+_SIXTH_DIFFERENCES = 20.0
+"""What the variance of white noise grows by in third differences: 1 + 9 + 9 + 1."""
+
+_MAD_TO_SD = 1.4826
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """One column of one signal, as the log has it.
+
+    Attributes:
+        signal: its signal's name.
+        name: its own.
+        unit: of its values.
+        seconds: since the first stamp that is compared, shape (T,), increasing.
+        values: shape (T,), finite.
+        noise: standard deviation of what in it is faster than any motion.
+        spread: standard deviation of its values.
+    """
+
+    signal: str
+    name: str
+    unit: str
+    seconds: Array
+    values: Array
+    noise: float
+    spread: float
+
+    @property
+    def label(self) -> str:
+        """As a title has it."""
+        return f"{self.signal} {self.name}"
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """All columns that a log and the rollouts share.
+
+    Attributes:
+        start_ns: the stamp that seconds count from.
+        columns: at least one.
+    """
+
+    start_ns: int
+    columns: tuple[Column, ...]
+
+    @cached_property
+    def end_s(self) -> float:
+        """The last stamp."""
+        return max(float(column.seconds[-1]) for column in self.columns)
+
+    @cached_property
+    def seconds(self) -> Array:
+        """Of all values, column by column, shape (N,)."""
+        return np.concatenate([column.seconds for column in self.columns])
+
+    @cached_property
+    def values(self) -> Array:
+        """All observed values, column by column, shape (N,)."""
+        return np.concatenate([column.values for column in self.columns])
+
+    @cached_property
+    def which(self) -> Array:
+        """The column's number of each value, shape (N,)."""
+        counts = [len(column.values) for column in self.columns]
+        return np.repeat(np.arange(len(counts)), counts)
+
+    def per_value(self, by_column: Sequence[float] | Array) -> Array:
+        """One number a column, repeated for each of its values, shape (N,)."""
+        return np.asarray(by_column, dtype=np.float64)[self.which]
+
+    def seen_in(self, rollout: Episode) -> Array:
+        """What a rollout shows at the same stamps, shape (N,); NaN where it shows nothing."""
+        found: list[Array] = []
+        for column in self.columns:
+            signal = rollout.signals.get(column.signal)
+            if signal is None or column.name not in signal.columns:
+                found.append(np.full(len(column.seconds), np.nan))
+                continue
+            at_s = (signal.stamps_ns - _origin(signal.stamps_ns, self.start_ns)) * 1e-9
+            track = signal.values[:, signal.columns.index(column.name)]
+            found.append(np.interp(column.seconds, at_s, track, left=np.nan, right=np.nan))
+        return np.concatenate(found)
+
+    def rms(self, residuals: Array, chosen: Array | None = None) -> Array:
+        """Root mean square by column, shape (C,), of values of shape (N,); of those chosen."""
+        kept = np.isfinite(residuals) if chosen is None else np.isfinite(residuals) & chosen
+        squares = np.bincount(
+            self.which, np.where(kept, residuals, 0.0) ** 2, minlength=len(self.columns)
+        )
+        counts = np.bincount(self.which, kept, minlength=len(self.columns))
+        return np.sqrt(squares / np.maximum(counts, 1))
+
+
+def _origin(stamps_ns: Array, start_ns: int) -> int:
+    """What a rollout's stamps count from: the log's, or their own where they begin elsewhere."""
+    first, last = int(stamps_ns[0]), int(stamps_ns[-1])
+    return start_ns if first <= start_ns <= last else first
+
+
+def compared(observed: Episode, rollout: Episode) -> Compared:
+    """The columns that a log and a rollout of the simulator share.
+
+    Raises:
+        NotFoundError: there is none, or too few samples.
+    """
+    shared: list[tuple[str, str]] = []
+    for name, signal in rollout.signals.items():
+        seen = observed.signals.get(name)
+        if seen is not None:
+            shared += [(name, column) for column in signal.columns if column in seen.columns]
+    if not shared:
+        there, wanted = sorted(observed.signals), sorted(rollout.signals)
+        raise NotFoundError(
+            f"the log and the simulator share no signal (log: {', '.join(there[:5]) or 'none'}; "
+            f"simulator: {', '.join(wanted[:5]) or 'none'})",
+            "name the simulator's signals and columns as the log's",
+        )
+    start_ns = min(int(observed.signals[name].stamps_ns[0]) for name, _ in shared)
+    columns = [_column(observed, name, column, start_ns) for name, column in shared]
+    kept = tuple(column for column in columns if len(column.values) >= _LEAST_SAMPLES)
+    if not kept:
+        most = max(len(column.values) for column in columns)
+        raise NotFoundError(
+            f"{shared[0][0]}: {most} samples are too few to tune from",
+            f"record {_LEAST_SAMPLES} or more",
+        )
+    return Compared(start_ns, kept)
+
+
+def _column(observed: Episode, name: str, column: str, start_ns: int) -> Column:
+    signal = observed.signals[name]
+    values = signal.values[:, signal.columns.index(column)]
+    good = np.flatnonzero(np.isfinite(values))
+    good = good[:: len(good) // _MOST_SAMPLES + 1]
+    seconds = (signal.stamps_ns[good] - start_ns) * 1e-9
+    values = values[good]
+    return Column(
+        name, column, signal.unit, seconds, values, noise_of(values), float(np.std(values))
+    )
+
+
+def noise_of(values: Array) -> float:
+    """Standard deviation of white noise in a sampled curve, by its third differences.
+
+    What is smooth over four samples has none; a step of the values' resolution is the least.
+    """
+    if len(values) < 5:
+        return 0.0
+    differences = np.abs(np.diff(values, 3))
+    noise = _MAD_TO_SD * float(np.median(differences)) / np.sqrt(_SIXTH_DIFFERENCES)
+    steps = np.abs(np.diff(np.unique(values)))
+    resolution = float(steps.min()) / np.sqrt(12.0) if len(steps) else 0.0
+    return max(noise, resolution)

@@ -1,0 +1,194 @@
+"""The exact fit of a simulator to a log: least squares, from elsewhere too, and how sure it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import qmc, t
+
+from analysis.estimators.base import FitResult
+from analysis.sysid.compared import Compared
+from analysis.sysid.covariance import covariance
+from analysis.sysid.gauss_newton import GaussNewton, Run, Solution, ranges_of
+from recorders.simulators.base import Parameter
+from tunenet_logs.arrays import Array
+
+_GOOD = 1.5
+"""Times a column's noise: a solution that leaves less is not looked for elsewhere."""
+
+GOOD_SHARE = 0.05
+"""Of a column's spread, likewise, where the noise is less than that."""
+
+_SCREENED, _RESTARTS = 24, 3
+_HELD_OUT_FROM = 0.6
+"""Of the log: a second fit to what is before is judged by what comes after."""
+
+_UNTOLD_SHARE = 0.25
+"""Of a parameter's range: where 95 % reach further than this to each side, the log cannot tell."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """How the simulator predicts the part of the log that it was not fitted to.
+
+    Attributes:
+        from_s: where that part begins.
+        simulated: of a fit to what is before, shape (M,).
+        rms: of what it leaves in that part, by column, shape (C,).
+        before: of what the simulator leaves there as it was given, shape (C,).
+    """
+
+    from_s: float
+    simulated: Array
+    rms: Array
+    before: Array
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatorFit:
+    """What a fit found, for checks and reviews.
+
+    Attributes:
+        target: what was compared.
+        parameters: all P that were looked for, those of the initial state, too.
+        tuned: how many of them, the first, are the user's.
+        solution: where the steps ended.
+        simulated: what it shows at the log's stamps, shape (M,).
+        first: what the simulator showed as it was given, shape (M,).
+        sd: standard deviation of each value, shape (P,), the step's part included.
+        half95: half the 95 % interval of each value, shape (P,), within no bounds.
+        step_shift: how far half the step moves each, shape (P,); None where there is no other step.
+        held_out: None where the log is too short.
+        correlation: of all values, shape (P, P).
+    """
+
+    target: Compared
+    parameters: tuple[Parameter, ...]
+    tuned: int
+    solution: Solution
+    simulated: Array
+    first: Array
+    sd: Array
+    half95: Array
+    step_shift: Array | None
+    held_out: HeldOut | None
+    correlation: Array
+
+    @property
+    def untold(self) -> tuple[Parameter, ...]:
+        """Tuned parameters that the log cannot tell within a quarter of their range."""
+        ranges = ranges_of(self.parameters)[: self.tuned]
+        wide = self.half95[: self.tuned] > _UNTOLD_SHARE * ranges
+        return tuple(one for one, is_wide in zip(self.parameters, wide, strict=False) if is_wide)
+
+
+def fit_simulator(
+    run: Run,
+    finer: Run | None,
+    target: Compared,
+    parameters: tuple[Parameter, ...],
+    start: Array,
+) -> FitResult:
+    """Fit all parameters to a log.
+
+    Args:
+        run: makes rollouts.
+        finer: makes them with half the step; None where there is no such thing.
+        target: what they are compared with.
+        parameters: P of them; those with a prior belong to the initial state.
+        start: of those that are tuned, shape (T,), the first of the P.
+
+    Returns:
+        Of the T tuned ones; its detail is a `SimulatorFit`.
+    """
+    tuned = len(start)
+    steps = GaussNewton(run, target, parameters)
+    given = np.array([one.initial for one in parameters])
+    first = run(given[None])[0]
+    solution = steps.solve(np.concatenate([start, given[tuned:]]))
+    if not _is_good(solution, target):
+        solution = _from_elsewhere(steps, solution, tuned)
+    cov, independent = covariance(solution, target, parameters)
+    sd = np.sqrt(np.diag(cov))
+    shift = None
+    if finer is not None:
+        moved = finer(solution.values[None])[0] - (target.values + solution.residuals)
+        shift = np.abs(_moved_by(moved, solution, target, parameters))
+    wide = sd if shift is None else np.hypot(sd, shift)
+    half95 = float(t.ppf(0.975, max(independent - len(sd), 3.0))) * wide
+    low, high = np.array([one.bounds for one in parameters]).T
+    ends = np.stack([solution.values - half95, solution.values + half95])
+    ends = np.clip(ends, low, high)
+    detail = SimulatorFit(
+        target,
+        parameters,
+        tuned,
+        solution,
+        target.values + solution.residuals,
+        first,
+        wide,
+        half95,
+        shift,
+        _held_out(run, target, parameters, solution, first),
+        cov / np.outer(sd, sd),
+    )
+    return FitResult(solution.values[:tuned], ends.T[:tuned], detail=detail, path=solution.path)
+
+
+def _is_good(solution: Solution, target: Compared) -> bool:
+    """Whether every column is met about as well as its noise lets it."""
+    left = target.rms(solution.residuals, solution.chosen)
+    return all(
+        rms <= max(_GOOD * column.noise, GOOD_SHARE * column.spread)
+        for rms, column in zip(left, target.columns, strict=True)
+    )
+
+
+def _from_elsewhere(steps: GaussNewton, solution: Solution, tuned: int) -> Solution:
+    """The best of solutions from other starts: those of many that are least off."""
+    low, high = np.array([one.training_range for one in steps.parameters[:tuned]]).T
+    places = qmc.scale(qmc.Sobol(tuned, rng=0).random(_SCREENED), low, high)
+    rest = np.array([one.initial for one in steps.parameters[tuned:]])
+    starts = np.column_stack([places, np.repeat(rest[None], _SCREENED, axis=0)])
+    off = steps.residuals(starts)
+    costs = [steps.cost(row, start) for row, start in zip(off, starts, strict=True)]
+    for place in np.argsort(costs)[:_RESTARTS]:
+        other = steps.solve(starts[place])
+        if other.cost < solution.cost:
+            solution = replace(other, path=(*solution.path[:1], *other.path))
+        if _is_good(solution, steps.target):
+            break
+    return solution
+
+
+def _moved_by(
+    change: Array, solution: Solution, target: Compared, parameters: tuple[Parameter, ...]
+) -> Array:
+    """How far a change of what is simulated moves the least squares, shape (P,)."""
+    scales = ranges_of(parameters)
+    weights = solution.chosen / target.per_value(solution.noise) ** 2
+    slopes = solution.slopes * scales
+    precision = [1e-4 if one.prior_sd is None else 1.0 for one in parameters]
+    normal = slopes.T @ (weights[:, None] * slopes) + np.diag(precision)
+    return np.linalg.solve(normal, slopes.T @ (weights * change)) * scales
+
+
+def _held_out(
+    run: Run,
+    target: Compared,
+    parameters: tuple[Parameter, ...],
+    solution: Solution,
+    first: Array,
+) -> HeldOut | None:
+    from_s = _HELD_OUT_FROM * target.end_s
+    later = target.seconds > from_s
+    if min(np.bincount(target.which[later], minlength=len(target.columns))) < 2:
+        return None
+    before = GaussNewton(run, target, parameters, from_s).solve(solution.values)
+    return HeldOut(
+        from_s,
+        target.values + before.residuals,
+        target.rms(before.residuals, later),
+        target.rms(first - target.values, later),
+    )

@@ -1,0 +1,135 @@
+"""TuneNet for one simulator and one log: trained on the spot, kept for the next time."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import qmc
+
+from analysis.estimators.base import Observation
+from analysis.sysid.compared import Compared
+from analysis.sysid.source import Rollouts
+from analysis.tunenet.checkpoint import Purpose, load_model, save_model
+from analysis.tunenet.network import Model, WideNetwork
+from analysis.tunenet.pairs import PairSet
+from analysis.tunenet.training import Recipe, train
+from recorders.simulators.base import Parameter
+from tunenet_logs.arrays import Array
+from tunenet_logs.errors import TuneNetError
+from tunenet_logs.progress import told
+from tunenet_logs.terminal import Progress
+
+ROLLOUTS = 2000
+"""That a network is trained with."""
+
+_PAIRS_EACH = 40
+_GRID = 100
+"""Moments at which it looks."""
+
+_BATCH = 50
+_RECIPE = Recipe(
+    optimizer="adamw",
+    learning_rate=2e-3,
+    weight_decay=0.1,
+    epochs=30,
+    batch=512,
+    scaling="ranges",
+    loss="squared",
+)
+
+
+def observation(target: Compared, values: Array) -> Observation:
+    """What a network sees: all columns on one grid, each in spreads of the log's.
+
+    Args:
+        target: what is compared.
+        values: observed or simulated, shape (M,).
+    """
+    grid_s = np.linspace(0.0, target.end_s, _GRID)
+    seen: list[Array] = []
+    for number, column in enumerate(target.columns):
+        mine = values[target.which == number]
+        good = np.isfinite(mine)
+        shown = np.full(_GRID, np.nan)
+        if good.sum() > 1:
+            shown = np.interp(grid_s, column.seconds[good], mine[good])
+        centre = float(np.mean(column.values))
+        scaled = (shown - centre) / max(column.spread, 1e-12)
+        seen.append(np.clip(scaled, -20.0, 20.0))
+    names = tuple(f"{column.label} [spreads]" for column in target.columns)
+    return Observation(np.column_stack(seen), grid_s, "time [s]", names)
+
+
+def trained_network(
+    rollouts: Rollouts,
+    target: Compared,
+    parameters: tuple[Parameter, ...],
+    tuned: int,
+    digest: str,
+    count: int = ROLLOUTS,
+) -> Model:
+    """The network for one simulator and one log, trained now or kept from before.
+
+    Args:
+        rollouts: of the simulator, at values of all parameters.
+        target: what is compared.
+        parameters: all, the tuned ones first.
+        tuned: how many of them are tuned.
+        digest: of the model and what is tuned; "" of an object, whose network is not kept.
+        count: rollouts to train with.
+    """
+    shape = f"{_GRID} moments of {', '.join(column.label for column in target.columns)}"
+    inputs = _GRID * len(target.columns)
+    purpose = Purpose("simulator", "default", shape, inputs, tuned, (1.0,))
+    kept = _kept(target, parameters, digest, count) if digest else None
+    if kept is not None and kept.is_file():
+        with suppress(TuneNetError):
+            return load_model(kept, purpose)
+    pairs = _pairs(rollouts, target, parameters, tuned, count)
+    model = train(WideNetwork(), pairs, _RECIPE, 0, Progress(quiet=True))
+    if kept is not None:
+        with suppress(TuneNetError, OSError):
+            kept.parent.mkdir(parents=True, exist_ok=True)
+            save_model(kept, model, purpose, {"rollouts": str(count)})
+    return model
+
+
+def _kept(
+    target: Compared, parameters: tuple[Parameter, ...], digest: str, count: int
+) -> Path | None:
+    """Where the network is kept: by the model, what is tuned, and what the log drives it with."""
+    root = os.environ.get("XDG_CACHE_HOME")
+    folder = Path(root) if root else Path.home() / ".cache"
+    state = hashlib.sha256(digest.encode())
+    state.update(f"{count} {_GRID}".encode())
+    for parameter in parameters:
+        state.update(f"{parameter.name} {parameter.training_range} {parameter.initial}".encode())
+    state.update(target.seconds.tobytes() + target.values.tobytes())
+    return folder / "tunenet-logs" / f"{state.hexdigest()[:32]}.safetensors"
+
+
+def _pairs(
+    rollouts: Rollouts,
+    target: Compared,
+    parameters: tuple[Parameter, ...],
+    tuned: int,
+    count: int,
+) -> PairSet:
+    """Rollouts over the ranges, from the log's initial state, and pairs of them."""
+    low, high = np.array([one.training_range for one in parameters[:tuned]]).T
+    with_seed = qmc.Sobol(tuned, rng=0)
+    values = qmc.scale(with_seed.random(count), low, high)
+    rest = np.array([one.initial for one in parameters[tuned:]])
+    rows = np.column_stack([values, np.repeat(rest[None], count, axis=0)])
+    seen: list[Array] = []
+    for first in told(range(0, count, _BATCH), "simulating to train", -(-count // _BATCH)):
+        episodes = rollouts(rows[first : first + _BATCH])
+        seen += [observation(target, target.seen_in(one)).values for one in episodes]
+    rng = np.random.default_rng(0)
+    proposed = rng.integers(count, size=_PAIRS_EACH * count)
+    other = rng.integers(count, size=_PAIRS_EACH * count)
+    return PairSet(np.stack(seen), values, proposed, other)
