@@ -204,9 +204,7 @@ class PlannedRows:
             stamps.append(own_ns[keep])
             ranks.append(numbers[keep])
             place = names.index(joint)
-            table = (
-                np.frombuffer(one, np.float64).reshape(-1, len(names)) for one in plans.values
-            )
+            table = (np.frombuffer(one, np.float64).reshape(-1, len(names)) for one in plans.values)
             values.append([one[keep, place] for one in table])
         rank = np.concatenate(ranks)
         order = np.lexsort((rank, arrived[rank]))
@@ -222,9 +220,7 @@ class PlannedRows:
         Returns:
             For every message of the topic, shape (M,); meant for those alone.
         """
-        arrived, starts = (
-            np.frombuffer(one, np.int64) for one in (self._log_ns, self._start_ns)
-        )
+        arrived, starts = (np.frombuffer(one, np.int64) for one in (self._log_ns, self._start_ns))
         stops = np.frombuffer(self._stops, np.int64)
         all_numbers = np.concatenate([*numbers, stops])
         order = all_numbers[np.lexsort((all_numbers, arrived[all_numbers]))]

@@ -115,9 +115,7 @@ class TopicContents:
 
     def __init__(self, channel: RawChannel, plan: ReadingPlan) -> None:
         self.channel = channel
-        self.rows: (
-            PositionRows | JointRows | PictureStamps | DriveRows | HandRows | None
-        ) = None
+        self.rows: PositionRows | JointRows | PictureStamps | DriveRows | HandRows | None = None
         self.damaged = 0
         self.refused = 0
         self._log_ns = array("q")
