@@ -63,7 +63,7 @@ class NumberRows:
         keep, stamps_ns, notes = sorted_stamps(np.frombuffer(own_ns, np.int64))
         others = sum(len(own) for own, _ in self._lengths.values()) - len(own_ns)
         if others:
-            notes.append(f"{others} messages were left out that have not {length} numbers")
+            notes.append(f"{others} messages of another length than {length} were left out")
         values = np.frombuffer(stored, np.float64).reshape(-1, length)[keep]
         values[~np.isfinite(values)] = np.nan
         columns = tuple(map(str, range(length)))
