@@ -27,7 +27,7 @@ _FREE_POINTS, _BYTES_A_POINT = 250_000, 50
 """That all trajectories of a log may have, whatever its size is, and its bytes for each beyond."""
 
 _MOST_CELLS = 10_000_000
-"""Points of one topic times its joints: a table of them must fit."""
+"""Points of one topic, and messages without any, times its joints: a table of them must fit."""
 
 _LAST_NS = 2**63 - 1
 """The last stamp that fits int64: in the year 2262."""
@@ -138,9 +138,10 @@ class PlannedRows:
             plans.stamps_ns.extend(start_ns + one for one in after_ns)
             for stored, values in zip(plans.values, columns, strict=True):
                 stored.frombytes(values.tobytes())
-            self._points += len(points)
         else:
+            self._check_cells(1, len(self._joints))
             self._stops.append(len(self._log_ns))
+        self._points += max(1, len(points))
         self._log_ns.append(log_ns)
         self._start_ns.append(start_ns)
 
@@ -158,10 +159,18 @@ class PlannedRows:
             if sum(map(len, self._plans)) + len(names) > _MOST_NAMES:
                 raise BeyondLimitError(f"over {_MOST_NAMES} joints")
         joints = self._joints | dict.fromkeys(names)
-        if (self._points + points) * len(joints) > _MOST_CELLS:
-            raise BeyondLimitError(f"over {_MOST_CELLS} values planned")
+        self._check_cells(points, len(joints))
         self._joints = joints
         return known or self._plans.setdefault(names, _Plans())
+
+    def _check_cells(self, points: int, joints: int) -> None:
+        """Whether so many more points of so many joints still fit.
+
+        Raises:
+            BeyondLimitError: they do not.
+        """
+        if (self._points + points) * joints > _MOST_CELLS:
+            raise BeyondLimitError(f"over {_MOST_CELLS} values planned")
 
     def signals(self) -> tuple[list[Signal], list[str]]:
         """Those of the three quantities that have any value; nothing is ever repaired."""

@@ -144,7 +144,7 @@ def test_one_without_points_ends_every_plan(tmp_path: Path):
         (trajectory(0, "aa", point(0, [9, 9])), "two joints have one name"),
         (trajectory(0, (), point(0, [9])), "but another number of values"),
         (trajectory(0, (), point(0)), "it names no joint"),
-        (trajectory(0, map(str, range(1001)), point(0)), "over 1000 joints"),
+        (trajectory(0, [str(one) for one in range(1001)], point(0)), "over 1000 joints"),
         (trajectory(0, "a", *(point(one) for one in range(100_001))), "over 100000 points"),
     ],
 )
@@ -171,7 +171,7 @@ def test_a_million_points_are_not_even_decoded(tmp_path: Path):
 
     empty = bytes(20) + np.uint32(0).tobytes()
     assert len(empty) == 24
-    start = bytes(4) + bytes(8) + np.uint32([1, 0, 0, 10**6]).tobytes()
+    start = bytes(4) + bytes(8) + np.array([1, 0, 0, 10**6], np.uint32).tobytes()
     text = get_typestore(Stores.ROS2_HUMBLE).generate_msgdef(TRAJECTORY, ros_version=2)[0]
     with (tmp_path / "a.mcap").open("wb") as file:
         writer = Writer(file)
@@ -201,6 +201,18 @@ def test_the_points_and_values_of_a_log_are_bounded():
     with pytest.raises(BeyondLimitError, match="over 250000 points"):
         rows.check(b"")
     assert rows.signals() == ([], [])  # no quantity was given
+
+
+def test_many_ends_of_plans_take_no_time():
+    rows = PlannedRows("/cmd", PointBudget(0))
+    for name in range(500):
+        rows.add(0, PlanSample(0, (str(name),), [(1, (1.0,), (), ())]))
+    for _ in range(19_500):
+        rows.add(1, PlanSample(0, (), ()))
+    with pytest.raises(BeyondLimitError, match="over 10000000 values"):
+        rows.add(1, PlanSample(0, (), ()))
+    (position,), _ = rows.signals()
+    assert position.values.tolist() == [[1.0] * 500]
 
 
 def test_what_is_no_number_is_missing(tmp_path: Path):
