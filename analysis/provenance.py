@@ -46,6 +46,8 @@ def _given(options: Options | Selection, defaults: Options | Selection) -> dict[
             value = {part.name: getattr(value, part.name) for part in fields(value)}
         elif field.name == "arm" and isinstance(value, tuple):
             value = {"urdf": value[0].name, "tool_link": value[1]}
+        elif field.name == "source":
+            value = value.told_as()
         elif field.name == "arm_card":
             value = {"file": value.file, "logs": [run["log"] for run in value.runs]}
         found[field.name] = value

@@ -21,6 +21,7 @@ from tunenet_logs.terminal import short_name
 
 if TYPE_CHECKING:
     from analysis.payload.arm_card import ArmCard
+    from analysis.sysid.source import SimulatorSource
     from tunenet_logs.episode import Episode
 
 AnyPath = str | PathLike[str]
@@ -69,6 +70,12 @@ class TuneOptions(ReadingOptions, total=False):
         effort_sign: whose the torques are, what the joint exerts or the load; None likewise.
         effort_unit: "N·m", or "A" for currents that `torque_constants` make torques.
         arm_card: what earlier runs said of the arm, a file.
+        model: a MuJoCo model of one's own, MJCF or URDF, that is tuned in place of an experiment.
+        parameters: what of it is tuned, "KIND/NAME.FIELD" with "=LOW:HIGH" where the range is not
+            the usual one, such as "joint/elbow.damping=0:5"; or YAML files with them.
+        mapping: what of the log is what of the model, where their names differ: a signal, a topic
+            or "SIGNAL.COLUMN" -> "joint/NAME", "actuator/NAME", "body/NAME", "commands",
+            "states", or "-" to leave it out.
     """
 
     task: str | None
@@ -95,6 +102,9 @@ class TuneOptions(ReadingOptions, total=False):
     effort_sign: EffortSign | None
     effort_unit: str | None
     arm_card: AnyPath | None
+    model: AnyPath | None
+    parameters: Sequence[str] | None
+    mapping: Mapping[str, str] | None
 
 
 def options_of(given: TuneOptions, logs: Sequence[Path] = ()) -> Options:
@@ -132,7 +142,26 @@ def options_of(given: TuneOptions, logs: Sequence[Path] = ()) -> Options:
         method=said.get("method"),
         weights=None if weights is None else Path(weights),
         selection=_selection(said, logs),
+        source=_source(said),
     )
+
+
+def _source(said: Mapping[str, Any]) -> SimulatorSource | None:
+    """The user's own simulator; None where none is named."""
+    wanted = said.get("parameters") or ()
+    if "model" not in said:
+        for name, option in (("parameters", "--tune"), ("mapping", "--map")):
+            if said.get(name):
+                raise UsageError(f"{option} is about a model of one's own; name it with --model")
+        return None
+    if said.get("task") or said.get("preset", "default") != "default":
+        raise UsageError("--model does not go with --task or --preset; leave them out")
+    from analysis.sysid.parameter_file import listed_parameters
+    from analysis.sysid.source import ModelSource
+
+    wanted = (wanted,) if isinstance(wanted, str) else tuple(wanted)
+    mapping = dict(said.get("mapping") or {})
+    return ModelSource(Path(said["model"]), listed_parameters(wanted), mapping)
 
 
 def _selection(said: Mapping[str, Any], logs: Sequence[Path]) -> Selection:

@@ -22,6 +22,7 @@ from analysis.unused import unused_options
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import LogError, NotFoundError, TuneNetError, UsageError
+from tunenet_logs.measured import measured
 from tunenet_logs.one_clock import on_one_clock
 from tunenet_logs.reader import read_episode
 from tunenet_logs.terminal import short_name
@@ -50,7 +51,7 @@ def tune_log(path: Path, options: Options) -> Tuning:
     """
     watch = Stopwatch()
     try:
-        episode = plausible(read_episode(path, options.selection.reading))
+        episode = plausible(measured(read_episode(path, options.selection.reading)))
     except TuneNetError as error:
         watch.lap("read")
         reason = str(error).removeprefix(f"{path}: ")
@@ -63,11 +64,15 @@ def tune_episode(
     episode: Episode, options: Options, path: Path = Path(), watch: Stopwatch | None = None
 ) -> Tuning:
     """Tune from an episode in memory, as `tune_log` does from a file."""
+<<<<<<< .merge_file_HZQ5at
     episode = on_one_clock(episode)
     if options.source is not None:
         from analysis.sysid.experiment import SimulatorExperiment
 
         return _tuned_as(SimulatorExperiment(options.source), episode, options, path, watch)
+=======
+    episode = on_one_clock(measured(episode))
+>>>>>>> .merge_file_XgoyAJ
     topic = options.selection.topic
     kind = options.task or episode.info.kind
     if not kind:

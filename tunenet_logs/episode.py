@@ -37,6 +37,8 @@ class Signal:
         unit: unit of all values ("m", "rad", "N·m", "A", "px", "1"); `UNSTATED` of a position in a
             unit of length that nobody names.
         counts_frames: whether the stamps count frames, `FRAME_NS` each, whose rate is not known.
+        drives: whether it is what drives something, a command to it or a force on it, and not how
+            that moves; see `measured`.
 
     Raises:
         ValueError: shapes disagree, or the stamps do not increase.
@@ -48,6 +50,7 @@ class Signal:
     columns: tuple[str, ...]
     unit: str
     counts_frames: bool = False
+    drives: bool = False
 
     def __post_init__(self) -> None:
         stamps = np.array(self.stamps_ns, dtype=np.int64, order="C")  # copies
@@ -216,6 +219,7 @@ class Channel:
         log_ns: the log's own stamps of its messages [ns], int64, shape (T,), in file order.
         skipped: why its messages are not used; None where they are.
         pictures: whether its messages are images that `Episode.frames` gives.
+        drives: whether they are commands or forces; see `Signal.drives`.
     """
 
     topic: str
@@ -224,6 +228,7 @@ class Channel:
     log_ns: NDArray[np.int64]
     skipped: str | None = None
     pictures: bool = False
+    drives: bool = False
 
     @property
     def messages(self) -> int:

@@ -15,6 +15,7 @@ from tunenet_logs.errors import LogError, UsageError
 from tunenet_logs.formats.read_options import AS_IT_SAYS, ReadOptions
 from tunenet_logs.import_notes import is_impacts, notes_of, notes_of_frames
 from tunenet_logs.jpeg import compressed
+from tunenet_logs.measured import measured
 from tunenet_logs.reader import read_episode
 from tunenet_logs.terminal import Progress
 from tunenet_logs.writer import EpisodeWriter
@@ -72,7 +73,7 @@ def import_log(
         raise UsageError(f"{output}: name a .mcap file with -o")
     if output.exists() and path.exists() and output.samefile(path):
         raise UsageError(f"{output}: is the log itself, which is never changed; choose another -o")
-    episode = read_episode(path, options)
+    episode = measured(read_episode(path, options))  # a command would become a state
     topics = _Topics({*episode.signals, *episode.picture_topics, *joint_topics(episode)})
     said = notes_of_frames(episode)
     streams = [*_signal_streams(episode, topics, said), *_picture_streams(episode, topics)]

@@ -26,7 +26,7 @@ from tunenet_logs.import_notes import restored
 from tunenet_logs.late_stamps import BY_ARRIVALS, STAMPS_NOTE
 from tunenet_logs.messages import INFO_RECORD
 from tunenet_logs.one_clock import jump_warnings
-from tunenet_logs.topic_contents import ReadingPlan, TopicContents
+from tunenet_logs.topic_contents import DriveRows, ReadingPlan, TopicContents
 from tunenet_logs.unused_reading import unused_of_messages, unused_reading
 
 _FREE_PIXELS = 50_000_000
@@ -114,8 +114,8 @@ def _episode(
     notes += repairs
     seconds: set[TopicContents] = set()  # whose names were taken already
     by_log: set[str] = set()  # topics of pictures whose header stamps do not tell the time
-    # What is known by its shape alone comes behind what is known by its type.
-    for topic in sorted(topics, key=lambda one: one.is_by_shape):
+    # What is known by its shape alone comes behind what is known by its type, commands behind all.
+    for topic in sorted(topics, key=lambda one: (one.drives, one.is_by_shape)):
         name, rows = topic.channel.topic, topic.rows
         shaped = topic.checked_shape()
         if topic.damaged:
@@ -127,7 +127,7 @@ def _episode(
             doubts += reasons
             if not is_header or info.notes.get(STAMPS_NOTE, "").startswith(BY_ARRIVALS):
                 by_log.add(name)
-        elif isinstance(rows, PositionRows | JointRows):
+        elif isinstance(rows, PositionRows | JointRows | DriveRows):
             is_joints = isinstance(rows, JointRows)
             found, repairs = rows.signals(joint_names) if is_joints else rows.signals()
             found, repairs = ([], []) if shaped is None else (found, [*repairs, *shaped])

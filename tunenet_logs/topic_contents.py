@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Callable
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 
 from tunenet_logs.by_hand import HandPicked
 from tunenet_logs.collect import JointRows, PictureStamps, PositionRows
+from tunenet_logs.drive_rows import NumberRows, WrenchRows
 from tunenet_logs.episode import Channel, Signal
 from tunenet_logs.formats import registry
 from tunenet_logs.formats.any_messages import SchemaBudget
@@ -26,8 +28,11 @@ from tunenet_logs.formats.base import (
 from tunenet_logs.formats.by_shape import unit_of
 from tunenet_logs.formats.decoders import Decoders
 from tunenet_logs.formats.message_types import (
+    DriveType,
     JointType,
+    NumbersType,
     PictureType,
+    PlanType,
     PositionType,
     message_type_of,
     type_key,
@@ -37,9 +42,13 @@ from tunenet_logs.formats.read_options import ReadOptions
 from tunenet_logs.formats.shape_messages import UNUSED, ShapeMessages, shape_messages
 from tunenet_logs.hand_rows import HandRows
 from tunenet_logs.messages import TASK_OUTCOME
+from tunenet_logs.planned_rows import PlannedRows, PointBudget
 
 _LAST_NS = 2**63 - 1
 """The last stamp that fits int64: in the year 2262."""
+
+DriveRows = PlannedRows | NumberRows | WrenchRows
+"""What gathers commands and forces."""
 
 
 class ReadingPlan:
@@ -59,7 +68,19 @@ class ReadingPlan:
         self.budget = SchemaBudget()
         self.decoders = Decoders(self.budget)
         self.picks = HandPicked(path, options, self.budget) if options.columns else None
+        self._path = path
         self._options = options
+
+    @cached_property
+    def points(self) -> PointBudget:
+        """For trajectories."""
+        return PointBudget(registry.file_bytes(self._path))
+
+    def drive_rows(self, topic: str, kind: DriveType) -> DriveRows:
+        """What gathers the messages of a type of commands or forces."""
+        if isinstance(kind, PlanType):
+            return PlannedRows(topic, self.points)
+        return NumberRows(topic) if isinstance(kind, NumbersType) else WrenchRows(topic)
 
     def length(self, unit: str) -> tuple[str, float]:
         """The unit of positions, and what makes it of those in messages.
@@ -94,7 +115,7 @@ class TopicContents:
 
     def __init__(self, channel: RawChannel, plan: ReadingPlan) -> None:
         self.channel = channel
-        self.rows: PositionRows | JointRows | PictureStamps | HandRows | None = None
+        self.rows: PositionRows | JointRows | PictureStamps | DriveRows | HandRows | None = None
         self.damaged = 0
         self.refused = 0
         self._log_ns = array("q")
@@ -135,6 +156,9 @@ class TopicContents:
             self.rows = PositionRows(channel.topic, *plan.length("m"))
         elif isinstance(kind, JointType):
             self.rows = JointRows(channel.topic)
+        elif isinstance(kind, DriveType):
+            self.rows = plan.drive_rows(channel.topic, kind)
+            self._decode = _bounded(self._decode, self.rows.check)
         else:
             self.rows = PictureStamps(channel.topic, kind.is_video)
         self._read: Callable[[Any], Any] = kind.read
@@ -159,6 +183,11 @@ class TopicContents:
     def is_by_shape(self) -> bool:
         """Whether positions are read by what the fields of its messages are called."""
         return self._shape is not None
+
+    @property
+    def drives(self) -> bool:
+        """Whether its messages are commands or forces."""
+        return isinstance(self.rows, DriveRows)
 
     @property
     def is_video(self) -> bool:
@@ -223,4 +252,15 @@ class TopicContents:
             log_ns=np.array(self._log_ns, np.int64),
             skipped=skipped,
             pictures=isinstance(self._type, PictureType),
+            drives=self.drives,
         )
+
+
+def _bounded(decode: Decode, check: Callable[[bytes | memoryview], None]) -> Decode:
+    """Decodes what is worth it, as a check of the message's bytes says."""
+
+    def decode_checked(data: bytes | memoryview) -> Any:
+        check(data)
+        return decode(data)
+
+    return decode_checked

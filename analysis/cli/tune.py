@@ -18,10 +18,11 @@ from tunenet_logs.errors import NotFoundError, UsageError
 from tunenet_logs.terminal import Progress, listed
 
 if TYPE_CHECKING:
+    from analysis.batch.found_logs import FoundLog
     from analysis.batch.one_log import Writing
     from analysis.batch.run import Order
     from analysis.record import Tuning
-    from analysis.selection import Selection
+    from analysis.selection import Options, Selection
     from analysis.tune_options import TuneOptions
 
 
@@ -50,6 +51,8 @@ def _tune(arguments: argparse.Namespace) -> int:
         selection = _marked(arguments.logs[0], options.selection, progress)
         options = replace(options, selection=selection)
     found = find_logs(arguments.logs)
+    if arguments.dry_run:
+        return _plan(found.logs, options)
     wants_ledger = arguments.resume or arguments.csv is not None
     if wants_ledger and arguments.output is None:
         raise UsageError("--resume and --csv are about the ledger in -o DIR; give it")
@@ -83,6 +86,19 @@ def _tune(arguments: argparse.Namespace) -> int:
     return int(batch.failed > 0)
 
 
+def _plan(logs: Sequence[FoundLog], options: Options) -> int:
+    """Say what of each log a model of the user's own would be driven by and compared with."""
+    from analysis.sysid.plan import print_plan
+
+    if options.source is None:
+        raise UsageError("--dry-run shows how a log drives a model of one's own; add --model")
+    for found in logs:
+        if not isinstance(found.log, Path):
+            raise UsageError(f"{found.log}: --dry-run is for a log on this machine")
+        print_plan(found.log, options)
+    return 0
+
+
 def _check_tables(arguments: argparse.Namespace, order: Order) -> None:
     """Refuse at once a table of all logs that could not be written after the work."""
     if arguments.csv is not None:
@@ -97,6 +113,8 @@ def _check_tables(arguments: argparse.Namespace, order: Order) -> None:
 
 def given_options(arguments: argparse.Namespace) -> TuneOptions:
     """What was said, by the names that Python has for it."""
+    from analysis.sysid.source import told_by
+
     return {
         "task": arguments.task,
         "preset": arguments.preset,
@@ -122,6 +140,9 @@ def given_options(arguments: argparse.Namespace) -> TuneOptions:
         "effort_sign": arguments.effort_sign,
         "effort_unit": arguments.effort_unit,
         "arm_card": arguments.arm_card,
+        "model": arguments.model,
+        "parameters": arguments.tune or (),
+        "mapping": told_by(arguments.map or ()),
         "columns": arguments.columns,
         "fps": arguments.fps,
         "length_unit": arguments.length_unit,

@@ -56,7 +56,10 @@ _EXAMPLES = """\
   tunenet-tune next.mcap --arm-card arm.json       (no tare needed)
   tunenet-tune run.mcap --gravity included --effort-unit A --torque-constants 9.5
   tunenet-tune run.mcap --urdf arm.urdf --tool-link flange
-  tunenet-tune drop.mcap --weights my-drop.safetensors"""
+  tunenet-tune drop.mcap --weights my-drop.safetensors
+  tunenet-tune run.mcap --model robot.xml --tune joint/elbow.damping=0:5 --dry-run
+  tunenet-tune run.mcap --model robot.xml --tune body/tool.mass=0:2 --tune delay/commands
+  tunenet-tune run.mcap --model robot.urdf --tune tuned.yaml --map /arm/j1=joint/elbow"""
 
 
 def build_parser() -> Parser:
@@ -97,6 +100,7 @@ def build_parser() -> Parser:
     _picture_options(parser.add_argument_group("ball in pictures (found by its flight without)"))
     ball_options(parser.add_argument_group("ball in pictures, where it is known"))
     arm_options(parser.add_argument_group("payload of an arm"))
+    _model_options(parser.add_argument_group("a MuJoCo model of your own"))
     reading_options(parser.add_argument_group("what a file does not say itself"))
     preset_option(parser)
     engine_option(parser)
@@ -137,6 +141,40 @@ def build_parser() -> Parser:
         "each check saw",
     )
     return parser
+
+
+def _model_options(group: argparse._ArgumentGroup) -> None:
+    add = group.add_argument
+    add(
+        "--model",
+        type=Path,
+        metavar="FILE",
+        help="tune this model, MJCF or URDF, in place of a ball or a payload",
+    )
+    add(
+        "--tune",
+        action="append",
+        metavar="ADDRESS[=LOW:HIGH]",
+        help="what of it, with the range to look in (default: a fifth to five times the model's "
+        "value): joint/NAME.damping, .frictionloss, .armature, .stiffness, .springref; "
+        "body/NAME.mass, .ipos[i], .inertia[i]; geom/NAME.friction[i], .solref[i], .solimp[i]; "
+        "actuator/NAME.kp, .kv, .gear[i]; tendon/NAME.damping, .frictionloss, .stiffness; "
+        "option.gravity[i], .density, .viscosity; delay/commands; or a YAML file with ADDRESS: "
+        "[LOW, HIGH] lines. May be given several times",
+    )
+    add(
+        "--map",
+        action="append",
+        metavar="SIGNAL=TARGET",
+        help="what of the log is what of the model, where their names differ: a topic, a signal or "
+        "SIGNAL.COLUMN, and joint/NAME, actuator/NAME, body/NAME, commands, states, or - to leave "
+        "it out. May be given several times",
+    )
+    add(
+        "--dry-run",
+        action="store_true",
+        help="say what of the log would drive the model and be compared with it, and end",
+    )
 
 
 def _batch_options(group: argparse._ArgumentGroup) -> None:

@@ -9,7 +9,6 @@ from analysis.tunenet.network import Model
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import NotFoundError
 
-
 _MOST_SHOWN = 5
 """Steps of a fit that goes step by step, of which each has a rollout to be shown."""
 

@@ -33,6 +33,7 @@ from recorders.simulators.arm.payload import PAYLOAD_MASS, TOPIC, PayloadSimulat
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import LogError, NotFoundError
+from tunenet_logs.measured import measured
 from tunenet_logs.one_clock import jump_warnings, on_one_clock
 from tunenet_logs.reader import read_episode
 
@@ -94,9 +95,9 @@ def read_tare(tare: Path | Episode, arm: Arm, log: ArmLog, selection: Selection)
     """
     name = f" {tare}" if isinstance(tare, Path) else ""
     try:
-        recorded = (
-            plausible(read_episode(tare, selection.reading)) if isinstance(tare, Path) else tare
-        )
+        recorded = read_episode(tare, selection.reading) if isinstance(tare, Path) else tare
+        recorded = measured(recorded)
+        recorded = plausible(recorded) if isinstance(tare, Path) else recorded
         episode = on_one_clock(recorded)
         prefer = selection.topic or log.effort.topic
         has_joints = any(signal.unit in JOINT_UNITS for signal in episode.signals_of(prefer))

@@ -30,6 +30,7 @@ from analysis.record import Rebound
 from analysis.selection import Selection, Subject
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
+from tunenet_logs.measured import measured
 from tunenet_logs.unused_reading import said_unused
 
 if TYPE_CHECKING:
@@ -61,6 +62,7 @@ class PayloadExperiment:
 
     def claim(self, episode: Episode, topic: str | None) -> Claim:
         """By its torques, or joints without; see `Experiment.claim`."""
+        episode = measured(episode)
         signals = episode.signals.values() if topic is None else episode.signals_of(topic)
         units = {signal.unit for signal in signals}
         if "N·m" in units:
@@ -69,6 +71,7 @@ class PayloadExperiment:
 
     def detect(self, episode: Episode, selection: Selection, preset: str) -> PayloadDetection:
         """The arm's motion, and that of its empty run; see `Experiment.detect`."""
+        episode = measured(episode)
         chosen = which_arm(episode, selection.arm, selection.topic)
         arm = chosen.arm
         log = read_arm_log(

@@ -66,6 +66,10 @@ class SimulatorSource(Protocol):
         """SHA-256 of the model and of what is tuned; "" of an object."""
         ...
 
+    def told_as(self) -> Mapping[str, Any]:
+        """What a result says of it, as JSON has it."""
+        ...
+
     def connect(self, episode: Episode) -> Connected:
         """Drive and see it as a log was.
 
@@ -104,6 +108,10 @@ class GivenSimulator:
     def digest(self) -> str:
         """See `SimulatorSource`."""
         return ""
+
+    def told_as(self) -> Mapping[str, Any]:
+        """See `SimulatorSource`."""
+        return {"simulator": self.name}
 
     def connect(self, episode: Episode) -> Connected:
         """See `SimulatorSource`."""
@@ -155,6 +163,15 @@ class ModelSource:
 
         text = self.spec.to_xml() + "\n".join(self.wanted)
         return hashlib.sha256(text.encode()).hexdigest()
+
+    def told_as(self) -> Mapping[str, Any]:
+        """See `SimulatorSource`."""
+        told = {"model": self.name, "parameters": list(self.wanted)}
+        return {**told, "mapping": dict(self.told)} if self.told else told
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Of what travels to other processes: the names, not what was compiled."""
+        return {name: getattr(self, name) for name in ("path", "wanted", "told")}
 
     @cached_property
     def spec(self) -> Any:

@@ -1,4 +1,4 @@
-"""What the message types of others hold: positions, joints or pictures, and where in the message.
+"""What the message types of others hold, and where: positions, joints, pictures, commands.
 
 ROS and Foxglove types have the same fields in every encoding, so one line serves them all.
 """
@@ -74,7 +74,56 @@ class PictureType:
     is_video: bool = False
 
 
-MessageType = PositionType | JointType | PictureType
+PlanPoint = tuple[
+    int,
+    "Sequence[float] | np.ndarray",
+    "Sequence[float] | np.ndarray",
+    "Sequence[float] | np.ndarray",
+]
+"""Time after the start [ns]; positions, velocities, efforts, each empty where it does not say."""
+
+
+class PlanSample(NamedTuple):
+    """What one message plans for joints: rad, rad/s, N·m; stamp 0 for "from now on"."""
+
+    stamp_ns: int
+    names: tuple[str, ...]
+    points: Sequence[PlanPoint]
+
+
+@dataclass(frozen=True)
+class PlanType:
+    """A type with a trajectory for joints, which nobody measured."""
+
+    read: Callable[[Any], PlanSample]
+
+
+NumbersSample = Sequence[float] | np.ndarray
+"""Numbers of which nobody says what they are."""
+
+
+@dataclass(frozen=True)
+class NumbersType:
+    """A type with plain numbers, without a stamp."""
+
+    read: Callable[[Any], NumbersSample]
+
+
+WrenchSample = tuple[int, float, float, float, float, float, float]
+"""Stamp [ns] (0: not set); force x, y, z [N]; torque x, y, z [N·m]."""
+
+
+@dataclass(frozen=True)
+class WrenchType:
+    """A type with a force and a torque."""
+
+    read: Callable[[Any], WrenchSample]
+
+
+DriveType = PlanType | NumbersType | WrenchType
+"""A type of what drives a robot."""
+
+MessageType = PositionType | JointType | PictureType | DriveType
 """What a type of messages holds."""
 
 
@@ -186,6 +235,25 @@ def _kinova(name: str) -> JointType:
     return JointType(read)
 
 
+def _trajectory(message: Any) -> PlanSample:
+    points = [
+        (time_ns(point.time_from_start), point.positions, point.velocities, point.effort)
+        for point in message.points
+    ]
+    return PlanSample(_ros_stamp(message), tuple(message.joint_names), points)
+
+
+def _wrench(message: Any) -> WrenchSample:
+    force, torque = message.wrench.force, message.wrench.torque
+    parts = (force.x, force.y, force.z, torque.x, torque.y, torque.z)
+    x, y, z, around_x, around_y, around_z = map(float, parts)
+    return _ros_stamp(message), x, y, z, around_x, around_y, around_z
+
+
+_NUMBERS = NumbersType(attrgetter("data"))
+_NUMBER = NumbersType(lambda message: (float(message.data),))
+
+
 def _compressed_image(message: Any) -> PictureSample:
     return PictureSample(_ros_stamp(message), message.format, message.data)
 
@@ -226,6 +294,12 @@ _MESSAGE_TYPES: dict[str, MessageType] = {
     ),
     "sensor_msgs/msg/JointState": JointType(_joint_state),
     "foxglove.JointStates": JointType(_foxglove_joints),
+    "trajectory_msgs/msg/JointTrajectory": PlanType(_trajectory),
+    "std_msgs/msg/Float64MultiArray": _NUMBERS,
+    "std_msgs/msg/Float32MultiArray": _NUMBERS,
+    "std_msgs/msg/Float64": _NUMBER,
+    "std_msgs/msg/Float32": _NUMBER,
+    "geometry_msgs/msg/WrenchStamped": WrenchType(_wrench),
     "sensor_msgs/msg/CompressedImage": PictureType(_compressed_image),
     "sensor_msgs/msg/Image": PictureType(_image),
     "foxglove.CompressedImage": PictureType(_foxglove_image),

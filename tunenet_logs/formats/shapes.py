@@ -79,6 +79,14 @@ _PIXELS: dict[str, Shape] = {
     "data": Leaf.DATA,
 }
 _PICTURE = _fields(timestamp=Leaf.TIME, format=Leaf.TEXT, data=Leaf.DATA)
+_TRAJECTORY_POINT = _fields(
+    positions=Many(Leaf.NUMBER),
+    velocities=Many(Leaf.NUMBER),
+    effort=Many(Leaf.NUMBER),
+    time_from_start=Leaf.TIME,
+)
+_NUMBER = _fields(data=Leaf.NUMBER)
+_NUMBERS = _fields(data=Many(Leaf.NUMBER))
 _KINOVA = Fields({f"joint{number}": Leaf.NUMBER for number in range(1, 8)})
 
 _SHAPES: dict[str, Fields] = {
@@ -106,6 +114,16 @@ _SHAPES: dict[str, Fields] = {
     "kinova_msgs/msg/JointAngles": _KINOVA,
     "kinova_msgs/msg/JointTorque": _KINOVA,
     "kinova_msgs/msg/JointVelocity": _KINOVA,
+    "trajectory_msgs/msg/JointTrajectory": _fields(
+        header=_HEADER, joint_names=Many(Leaf.TEXT), points=Many(_TRAJECTORY_POINT)
+    ),
+    "std_msgs/msg/Float64MultiArray": _NUMBERS,
+    "std_msgs/msg/Float32MultiArray": _NUMBERS,
+    "std_msgs/msg/Float64": _NUMBER,
+    "std_msgs/msg/Float32": _NUMBER,
+    "geometry_msgs/msg/WrenchStamped": _fields(
+        header=_HEADER, wrench=_fields(force=_POINT, torque=_POINT)
+    ),
     "sensor_msgs/msg/CompressedImage": _fields(header=_HEADER, format=Leaf.TEXT, data=Leaf.DATA),
     "sensor_msgs/msg/Image": Fields({"header": _HEADER, "is_bigendian": Leaf.FLAG, **_PIXELS}),
     "tunenet_msgs/msg/TaskOutcome": _fields(

@@ -213,7 +213,7 @@ def _observation(values: Array) -> Observation:
 def signals_in(episode: Episode, topic: str | None) -> list[str]:
     """Names of the signals of impact times, those with the most impacts first."""
     signals = episode.signals.values() if topic is None else episode.signals_of(topic)
-    named = [signal for signal in signals if signal.columns == ("impact",)]
+    named = [one for one in signals if one.columns == ("impact",) and not one.drives]
     return [one.name for one in sorted(named, key=lambda one: -len(one.stamps_ns))]
 
 

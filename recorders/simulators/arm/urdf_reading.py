@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import math
-import xml.etree.ElementTree as ET  # the document type, where its dangers lie, is refused
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from recorders.simulators.arm.rigid_bodies import NOTHING, Inertial, Transform, inertial
+from recorders.simulators.strangers_xml import MOST_XML_BYTES, parse_xml, refuse_xacro
 from tunenet_logs.errors import UsageError
 from tunenet_logs.small_files import read_small_file
 from tunenet_logs.terminal import short_name
 
-_MOST_BYTES, _MOST_TAGS, _MOST_PARTS = 4_000_000, 100_000, 1000
-"""Size, tags and links of a file: more than any arm's; what has more is refused before it costs."""
+if TYPE_CHECKING:
+    import xml.etree.ElementTree as ET
+
+_MOST_PARTS = 1000
+"""Links of a file: more than any arm's; what has more is refused before it costs."""
 
 _MOST_M, _MOST_RAD, _MOST_KG, _MOST_KG_M2 = 100.0, 1000.0, 10_000.0, 1e6
 """More than any arm has: a larger value is in other units."""
@@ -113,32 +117,15 @@ def read_urdf(path: Path) -> FileRobot:
 
 def _root(path: Path) -> ET.Element:
     try:
-        data = read_small_file(path, _MOST_BYTES)
-        text = data.decode("utf-8-sig")
+        data = read_small_file(path, MOST_XML_BYTES)
     except OSError as error:
         raise UsageError(f"{path}: {error.strerror}; --urdf takes a robot's URDF file") from error
-    except UnicodeDecodeError as error:
-        raise UsageError(f"{path}: is no text in UTF-8, so no URDF that can be read") from error
     except ValueError as error:
         raise UsageError(f"{path}: {error}, so no URDF of an arm") from error
-    if text.count("<") > _MOST_TAGS:
-        raise UsageError(f"{path}: over {_MOST_TAGS} tags, so no URDF of an arm")
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        raise UsageError(f"{path}: has a document type, which no URDF needs; remove <!DOCTYPE ...>")
-    try:
-        root = ET.fromstring(text)  # noqa: S314  (bounded, and without a document type)
-    except (ET.ParseError, ValueError) as error:
-        raise UsageError(f"{path}: is not XML ({error}); --urdf takes a robot's URDF") from error
+    root = parse_xml(data, path, "URDF", "--urdf takes a robot's URDF")
     if root.tag != "robot":
         raise UsageError(f"{path}: begins with <{short_name(root.tag)}>, a URDF with <robot>")
-    is_xacro = any(
-        "xacro" in element.tag or any("${" in value for value in element.attrib.values())
-        for element in root.iter()
-    )
-    if is_xacro:
-        stem = path.name.removesuffix(".xacro").removesuffix(".urdf")
-        expanded = f"{stem}.urdf" if path.suffix == ".xacro" else f"{stem}_expanded.urdf"
-        raise UsageError(f"{path}: is xacro; expand it first: xacro {path.name} > {expanded}")
+    refuse_xacro(root, path)
     if len(root) > 10 * _MOST_PARTS or len(root.findall("link")) > _MOST_PARTS:
         raise UsageError(f"{path}: over {_MOST_PARTS} links, so no URDF of an arm")
     return root

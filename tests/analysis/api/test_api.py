@@ -18,7 +18,7 @@ from tests.conftest import ROOT, Command
 SAMPLES = ROOT / "sample_logs"
 
 _OF_THE_TERMINAL = {"help", "version", "debug", "quiet", "preview", "print_completion"}
-_OF_THE_TERMINAL |= {"verbose", "json"}
+_OF_THE_TERMINAL |= {"verbose", "json", "dry_run"}
 """Options without a meaning for a function."""
 
 _OF_MANY = {"logs", "output", "jobs", "overwrite", "resume", "ray", "no_review", "review_only"}
@@ -31,6 +31,8 @@ _RENAMED = {
     "ball_diameter": "ball_diameter_m",
     "ball_mass": "ball_mass_kg",
     "tare": "tares",
+    "tune": "parameters",
+    "map": "mapping",
 }
 
 

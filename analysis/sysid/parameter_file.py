@@ -1,0 +1,58 @@
+"""What is tuned, from a YAML file: a line an address, with its range."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from tunenet_logs.errors import LogError, UsageError
+from tunenet_logs.small_files import read_small_file
+from tunenet_logs.terminal import one_line, short_name
+
+_MOST_BYTES, _MOST_LINES = 64_000, 200
+_SHAPE = "write lines such as joint/elbow.damping: [0, 5]"
+
+
+def listed_parameters(texts: Sequence[str]) -> tuple[str, ...]:
+    """Addresses with their ranges, those of YAML files in their place.
+
+    Raises:
+        UsageError: a file cannot be read, or holds something else.
+    """
+    found: list[str] = []
+    for text in texts:
+        if text.endswith((".yaml", ".yml")):
+            found += _of_file(Path(text))
+        else:
+            found.append(text)
+    return tuple(found)
+
+
+def _of_file(path: Path) -> Iterator[str]:
+    for address, limits in _mapping(path).items():
+        if limits is None:
+            yield str(address)
+            continue
+        is_pair = isinstance(limits, list) and len(limits) == 2
+        if not is_pair or not all(
+            isinstance(one, int | float) and not isinstance(one, bool) for one in limits
+        ):
+            raise UsageError(f"{path}: {short_name(address)} has no [LOW, HIGH]", _SHAPE)
+        yield f"{address}={float(limits[0])!r}:{float(limits[1])!r}"
+
+
+def _mapping(path: Path) -> dict[Any, Any]:
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    try:
+        found = YAML(typ="safe", pure=True).load(read_small_file(path, _MOST_BYTES))
+    except (OSError, LogError, ValueError, RecursionError) as error:
+        why = getattr(error, "strerror", None) or one_line(error)
+        raise UsageError(f"{path}: cannot be read ({why})", _SHAPE) from error
+    except YAMLError as error:
+        raise UsageError(f"{path}: is no YAML ({one_line(error)[:80]})", _SHAPE) from error
+    if not isinstance(found, dict) or not 0 < len(found) <= _MOST_LINES:
+        raise UsageError(f"{path}: holds no addresses", _SHAPE)
+    return found

@@ -1,0 +1,34 @@
+"""What a log would drive a model with and compare it with, before anything is tuned."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from analysis.selection import Options
+from analysis.sysid.source import part_of
+from tunenet_logs.one_clock import on_one_clock
+from tunenet_logs.reader import read_episode
+
+
+def print_plan(log: Path, options: Options) -> None:
+    """Print it, a line a signal and a parameter.
+
+    Raises:
+        TuneNetError: the log cannot be read, or shows nothing of the model.
+    """
+    assert options.source is not None
+    selection = options.selection
+    parameters = options.source.parameters
+    episode = on_one_clock(read_episode(log, selection.reading))
+    connected = options.source.connect(part_of(episode, selection.start_s, selection.end_s))
+    print(f"{log}: {connected.target.end_s:.2f} s of {options.source.name}")
+    for words in connected.used:
+        print(f"  {words}")
+    for words in connected.unused:
+        print(f"  not used: {words}")
+    for one in parameters:
+        low, high = one.training_range
+        unit = "" if one.unit == "1" else f" {one.unit}"
+        print(f"  tuned: {one.name} from {one.initial:g} in {low:g} to {high:g}{unit}")
+    for one in connected.simulator.parameters[len(parameters) :]:
+        print(f"  begins: {one.name} {one.initial:.4g} ± {one.prior_sd:.2g} {one.unit}")

@@ -1,0 +1,192 @@
+"""A MuJoCo model or a URDF that others made, read strictly: MuJoCo itself opens no file."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ET  # writes; `strangers_xml` parses
+from collections.abc import Mapping
+from pathlib import Path, PureWindowsPath
+from typing import Any
+
+from recorders.simulators.mujoco.library import mujoco
+from recorders.simulators.mujoco.model_elements import (
+    check_elements,
+    file_stem,
+    keep_physics,
+    make_plain,
+    without_namespace,
+)
+from recorders.simulators.mujoco.model_folder import ModelFolder
+from recorders.simulators.mujoco.model_trial import ModelText, check_compiles
+from recorders.simulators.strangers_xml import parse_xml, refuse_xacro
+from tunenet_logs.errors import UsageError
+from tunenet_logs.terminal import short_name
+
+_WANTED = "--model takes a MuJoCo model (MJCF) or a URDF"
+_KIND = "MuJoCo model or URDF"
+
+_DEEPEST = 16
+"""Files that include or attach each other."""
+
+_WITH_FILE = ("mesh", "flexcomp", "hfield", "skin")
+_MESHES = (".stl", ".obj", ".msh")
+
+
+def read_model(path: Path, home: Path | None = None) -> Any:
+    """A model, ready to compile; textures are plain, and a URDF's visual shapes are left out.
+
+    Args:
+        path: an MJCF or a URDF.
+        home: another folder that its meshes and included files may come from; beside its own, and
+            the ROS package that it lies in.
+
+    Returns:
+        A `mujoco.MjSpec`, with its meshes in it; it was compiled once, in another process.
+
+    Raises:
+        UsageError: it cannot be read, names files outside its folder, runs code of others, or
+            MuJoCo does not compile it within bounds of time, memory and size; with the path first.
+    """
+    folder = ModelFolder(path, home)
+    reader = _Reader(folder)
+    data = folder.read(folder.path, f"{path}:", is_xml=True)
+    text = ModelText(reader.prepared(folder.path, data, ()), reader.models, reader.files)
+    check_compiles(text, path)
+    try:
+        return mujoco().MjSpec.from_string(text.xml, include=text.models, assets=text.files)
+    except (ValueError, RuntimeError) as error:  # it was read a moment ago
+        raise UsageError(f"{path}: MuJoCo does not read it", "try it again") from error
+
+
+class _Reader:
+    """Gathers the files of a model, and writes its XML with names that MuJoCo finds there."""
+
+    def __init__(self, folder: ModelFolder) -> None:
+        self.folder = folder
+        self.models: dict[str, bytes] = {}
+        self.files: dict[str, bytes] = {}
+        self._names: dict[Path, str] = {}
+
+    def prepared(self, path: Path, data: bytes, above: tuple[Path, ...]) -> str:
+        """A model's XML, with what it includes; `above` are the models that attach it."""
+        named = path if above else self.folder.named
+        root = parse_xml(data, named, _KIND, _WANTED)
+        without_namespace(root)
+        folders = [path.parent]
+        if root.tag == "mujoco":
+            self._include(root, folders, {path}, 1)
+        elif root.tag == "robot":
+            refuse_xacro(root, named)
+            keep_physics(root)
+        else:
+            raise UsageError(f"{named}: begins with <{short_name(root.tag)}>", _WANTED)
+        check_elements(root, named)
+        self._gather(root, folders, (*above, path))
+        return ET.tostring(root, encoding="unicode")
+
+    def _include(self, root: ET.Element, folders: list[Path], seen: set[Path], depth: int) -> None:
+        """Put into the place of each <include> what its file holds."""
+        for parent in list(root.iter()):
+            for child in [one for one in parent if one.tag.lower() == "include"]:
+                reference = child.get("file", "")
+                path = self.folder.find([reference], folders, "include")
+                if path in seen or depth >= _DEEPEST:
+                    why = "twice, or in itself" if path in seen else f"over {_DEEPEST} deep"
+                    raise UsageError(
+                        f"{self.folder.named}: includes {short_name(reference)} {why}",
+                        "include each file once",
+                    )
+                seen.add(path)
+                data = self.folder.read(path, self.folder.names("include", reference), is_xml=True)
+                part = parse_xml(data, path, _KIND, "include the XML of a MuJoCo model")
+                if part.tag not in ("mujoco", "mujocoinclude"):
+                    raise UsageError(
+                        f"{path}: begins with <{short_name(part.tag)}>",
+                        "include the XML of a MuJoCo model, which begins with <mujoco>",
+                    )
+                if path.parent not in folders:
+                    folders.append(path.parent)
+                self._include(part, folders, seen, depth + 1)
+                index = list(parent).index(child)
+                parent[index : index + 1] = list(part)
+
+    def _gather(self, root: ET.Element, folders: list[Path], above: tuple[Path, ...]) -> None:
+        """Read the files that elements name, and name them anew."""
+        is_urdf = root.tag == "robot"
+        options = _compiler(root)
+        folder = options.get("meshdir", options.get("assetdir", "")).replace("\\", "/")
+        places = [place / folder for place in folders] + (folders if is_urdf else [])
+        key = "filename" if is_urdf else "file"
+        for element in root.iter():
+            tag, reference = element.tag, element.get(key)
+            if tag == "texture":
+                make_plain(element)
+            elif tag == "model" and reference is not None:
+                element.set(key, self._attached(reference, folders, above))
+            elif tag in _WITH_FILE and reference is not None:
+                if not is_urdf and tag in ("mesh", "hfield"):
+                    element.attrib.setdefault("name", file_stem(reference))
+                ways = _references(reference, options.get("strippath"), is_urdf=is_urdf)
+                element.set(key, self._file(tag, ways, places))
+            for name, value in element.attrib.items():
+                if name.lower().startswith("file") and value not in self._names.values():
+                    raise UsageError(
+                        f"{self.folder.named}: <{short_name(tag)} {short_name(name)}=...> names a "
+                        "file, which MuJoCo reads in no such element",
+                        "remove it",
+                    )
+
+    def _attached(self, reference: str, folders: list[Path], above: tuple[Path, ...]) -> str:
+        path = self.folder.find([reference], folders, "model")
+        if path in above or len(above) >= _DEEPEST:
+            why = "itself" if path in above else f"models over {_DEEPEST} deep"
+            raise UsageError(
+                f"{self.folder.named}: attaches {why} by {short_name(reference)}",
+                "attach another model",
+            )
+        if path not in self._names:
+            data = self.folder.read(path, self.folder.names("model", reference), is_xml=True)
+            xml = self.prepared(path, data, above).encode()
+            self.models[self._new_name(path)] = xml
+        return self._names[path]
+
+    def _file(self, tag: str, references: list[str], places: list[Path]) -> str:
+        path = self.folder.find(references, places, tag)
+        if tag == "mesh" and path.suffix.lower() not in _MESHES:
+            raise UsageError(
+                f"{self.folder.names(tag, references[0])} MuJoCo cannot read as a mesh; it reads "
+                f"{', '.join(_MESHES)}",
+                "convert it to .obj",
+            )
+        if path not in self._names:
+            data = self.folder.read(path, self.folder.names(tag, references[0]))
+            self.files[self._new_name(path)] = data
+        return self._names[path]
+
+    def _new_name(self, path: Path) -> str:
+        """A name without a folder, and so that no two differ in case alone."""
+        stem = re.sub(r"[^\w-]", "_", path.stem)[:60]
+        taken = {name.lower() for name in self._names.values()}
+        name = f"{stem}{path.suffix.lower()}"
+        if name.lower() in taken:
+            name = f"{stem}-{len(taken)}{path.suffix.lower()}"
+        self._names[path] = name
+        return name
+
+
+def _compiler(root: ET.Element) -> Mapping[str, str]:
+    """The settings of all <compiler>s, the last one's first; those of files are taken out."""
+    found: dict[str, str] = {}
+    for element in root.iter("compiler"):
+        found |= element.attrib
+        for key in ("meshdir", "texturedir", "assetdir", "strippath"):
+            element.attrib.pop(key, None)
+    return found
+
+
+def _references(reference: str, strippath: str | None, *, is_urdf: bool) -> list[str]:
+    """The ways to look for a file: MuJoCo takes folders away where `strippath` says so."""
+    bare = PureWindowsPath(reference).name
+    if strippath == "true":
+        return [bare, reference]
+    return [reference, bare] if is_urdf and strippath is None else [reference]

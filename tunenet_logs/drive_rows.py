@@ -1,0 +1,114 @@
+"""From decoded messages to the signals of what drives a robot: plain numbers, and wrenches."""
+
+from __future__ import annotations
+
+from array import array
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tunenet_logs.episode import Signal
+from tunenet_logs.formats.base import BeyondLimitError, UnusableError
+from tunenet_logs.formats.message_types import NumbersSample, WrenchSample
+from tunenet_logs.sample_order import order_samples, sorted_stamps
+
+_MOST_COLUMNS = 1000
+"""Numbers of one message; more are no commands, but a picture or a cloud."""
+
+_MOST_BYTES = 64 * 1024
+"""Of a message of numbers: so many as are read, as text, with a layout."""
+
+
+@dataclass(eq=False)
+class NumberRows:
+    """Numbers of one topic that say nothing of themselves: one signal, of unit "1"."""
+
+    topic: str
+    _lengths: dict[int, tuple[array[int], array[float]]] = field(default_factory=dict, init=False)
+
+    def check(self, data: bytes | memoryview) -> None:
+        """Whether a message is worth decoding.
+
+        Raises:
+            BeyondLimitError: it is larger than any with as many numbers as are read.
+        """
+        if len(data) > _MOST_BYTES:
+            raise BeyondLimitError(
+                f"a message of {len(data)} bytes is over the limit of {_MOST_BYTES}"
+            )
+
+    def add(self, log_ns: int, numbers: NumbersSample) -> None:
+        """The numbers of one message.
+
+        Raises:
+            UnusableError: there are none.
+            BeyondLimitError: there are more than a message may have.
+            ValueError, TypeError: they are none.
+        """
+        values = np.asarray(numbers, np.float64)
+        if not values.size:
+            raise UnusableError("it holds no number")
+        if values.size > _MOST_COLUMNS:
+            raise BeyondLimitError(f"over {_MOST_COLUMNS} numbers")
+        own_ns, stored = self._lengths.setdefault(values.size, (array("q"), array("d")))
+        own_ns.append(log_ns)
+        stored.frombytes(values.tobytes())
+
+    def signals(self) -> tuple[list[Signal], list[str]]:
+        """The messages of the most frequent length, and what was left out."""
+        if not self._lengths:
+            return [], []
+        length = max(self._lengths, key=lambda one: len(self._lengths[one][0]))
+        own_ns, stored = self._lengths[length]
+        keep, stamps_ns, notes = sorted_stamps(np.frombuffer(own_ns, np.int64))
+        others = sum(len(own) for own, _ in self._lengths.values()) - len(own_ns)
+        if others:
+            notes.append(f"{others} messages of another length than {length} were left out")
+        values = np.frombuffer(stored, np.float64).reshape(-1, length)[keep]
+        values[~np.isfinite(values)] = np.nan
+        columns = tuple(map(str, range(length)))
+        signal = Signal(self.topic, stamps_ns, values, columns, "1", drives=True)
+        return [signal], [f"{self.topic}: {note}" for note in notes]
+
+
+@dataclass(eq=False)
+class WrenchRows:
+    """Forces [N] and torques [N·m] of one topic, each a signal."""
+
+    topic: str
+    _header_ns: array[int] = field(default_factory=lambda: array("q"), init=False)
+    _log_ns: array[int] = field(default_factory=lambda: array("q"), init=False)
+    _values: array[float] = field(default_factory=lambda: array("d"), init=False)
+
+    _QUANTITIES = (("force", "N"), ("torque", "N·m"))
+    """Name and unit of each signal, in the order of a `WrenchSample`."""
+
+    def check(self, data: bytes | memoryview) -> None:
+        """Whether a message is worth decoding: each is."""
+
+    def add(self, log_ns: int, wrench: WrenchSample) -> None:
+        """One message.
+
+        Raises:
+            OverflowError: its stamp lies beyond the year 2262.
+        """
+        stamp_ns, *six = wrench
+        self._header_ns.append(stamp_ns)
+        self._log_ns.append(log_ns)
+        self._values.extend(six)
+
+    def signals(self) -> tuple[list[Signal], list[str]]:
+        """Those of the two that have any value, and what was repaired."""
+        keep, stamps_ns, notes = order_samples(
+            np.frombuffer(self._header_ns, np.int64), np.frombuffer(self._log_ns, np.int64)
+        )
+        values = np.frombuffer(self._values, np.float64).reshape(-1, 6)[keep]
+        values[~np.isfinite(values)] = np.nan
+        found = [
+            Signal(f"{self.topic}.{label}", stamps_ns, three, ("x", "y", "z"), unit, drives=True)
+            for (label, unit), three in zip(
+                self._QUANTITIES, (values[:, :3], values[:, 3:]), strict=True
+            )
+            if np.isfinite(three).any()
+        ]
+        return found, [f"{self.topic}: {note}" for note in notes]
