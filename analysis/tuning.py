@@ -64,15 +64,12 @@ def tune_episode(
     episode: Episode, options: Options, path: Path = Path(), watch: Stopwatch | None = None
 ) -> Tuning:
     """Tune from an episode in memory, as `tune_log` does from a file."""
-<<<<<<< .merge_file_HZQ5at
-    episode = on_one_clock(episode)
     if options.source is not None:
         from analysis.sysid.experiment import SimulatorExperiment
 
-        return _tuned_as(SimulatorExperiment(options.source), episode, options, path, watch)
-=======
+        experiment = SimulatorExperiment(options.source)
+        return _tuned_as(experiment, on_one_clock(episode), options, path, watch)
     episode = on_one_clock(measured(episode))
->>>>>>> .merge_file_XgoyAJ
     topic = options.selection.topic
     kind = options.task or episode.info.kind
     if not kind:

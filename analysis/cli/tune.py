@@ -38,9 +38,7 @@ def _tune(arguments: argparse.Namespace) -> int:
     from analysis.batch.summary import closing, print_details, print_remarks, print_table, summary
     from analysis.tune_options import ball_doubts, options_of
 
-    if arguments.preview:
-        _check_preview(arguments)
-    check_card_place(arguments)
+    _check_places(arguments)
     shows_table = arguments.json is None or not is_stdout(arguments.json)
     progress = Progress(quiet=arguments.quiet, has_bars=shows_table)
     given = given_options(arguments)
@@ -169,6 +167,13 @@ def _saving_card(arguments: argparse.Namespace) -> Callable[[Tuning], None] | No
     from analysis.payload.card_saving import save_arm_card
 
     return partial(save_arm_card, path=arguments.save_arm_card, overwrite=arguments.overwrite)
+
+
+def _check_places(arguments: argparse.Namespace) -> None:
+    """Refuse at once what could not be shown or written."""
+    if arguments.preview:
+        _check_preview(arguments)
+    check_card_place(arguments)
 
 
 def _check_preview(arguments: argparse.Namespace) -> None:

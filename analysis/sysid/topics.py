@@ -97,11 +97,8 @@ class _Matching:
         if told is not None and told.startswith("actuator/"):
             return "commands"
         quantity = _quantity(name)
-        if quantity or signal.unit == "1":
-            types = {channel.topic: channel.type_name for channel in self._episode.channels}
-            type_name = types.get(_topic(name), types.get(name, ""))
-            is_command = not quantity or _COMMANDS.search(name) or "Trajectory" in type_name
-            return "commands" if is_command else "states"
+        if quantity or (signal.drives and signal.unit == "1"):
+            return "commands" if signal.drives or _COMMANDS.search(name) else "states"
         if signal.columns == ("x", "y", "z") and signal.unit == "m":
             return "pose"
         return ""
