@@ -151,14 +151,18 @@ def pendulum_log(seed: int, noise: float = 1.0) -> ModelLog:
     }
     episode, clean, sizes = recorded(sensed, noise, rng)
     truth = {DAMPING: pendulum.damping, FRICTION: pendulum.friction, ARMATURE: pendulum.armature}
-    model = PENDULUM.format(gravity=EARTH, mass=_MASS_KG)
-    return ModelLog(episode, truth, model, _TUNE, (), clean, sizes)
+    return ModelLog(episode, truth, pendulum_model(), _TUNE, (), clean, sizes)
 
 
 def pendulum_of_unknown_mass(seed: int, noise: float = 1.0) -> ModelLog:
     """The same with the bob's mass tuned as well: a swing tells ratios alone."""
     log = pendulum_log(seed, noise)
     truth = {**log.truth, MASS: _MASS_KG}
-    model = PENDULUM.format(gravity=EARTH, mass=1.3)
+    model = pendulum_model(mass_kg=1.3)
     tune = (*_TUNE, f"{MASS}=0.2:3")
     return ModelLog(log.episode, truth, model, tune, tuple(truth), log.clean, log.noise)
+
+
+def pendulum_model(*, gravity: str = EARTH, mass_kg: float = _MASS_KG) -> str:
+    """The text of an owner's model; gravity of three numbers [m/s²]."""
+    return PENDULUM.format(gravity=gravity, mass=mass_kg)

@@ -20,7 +20,10 @@ from tunenet_logs.arrays import Array
 FRICTION, MASS = "geom/block.friction[0]", "body/block.mass"
 POSE = "/block/pose"
 
-_TUNE = (f"{FRICTION}=0.02:1.2",)
+MOST_FRICTION = 1.2
+"""That is looked for."""
+
+_TUNE = (f"{FRICTION}=0.02:{MOST_FRICTION}",)
 _NOISE_M = 1e-3
 _MASS_KG = 1.5
 _HALF_HEIGHT_M = 0.03
