@@ -1,1 +1,1 @@
-"""Logs of machines whose physics no engine computed, and what a MuJoCo model is tuned to by them."""
+"""Logs of machines that no engine simulated, and what MuJoCo models are tuned to by them."""

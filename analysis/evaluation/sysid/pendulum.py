@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -112,7 +113,7 @@ class Pendulum:
 
     def _until_it_turns(
         self, now_s: float, angle_rad: float, way: float, last_s: float
-    ) -> tuple[float, object, float]:
+    ) -> tuple[float, Callable[[Array], Array], float]:
         def rates(_: float, state: Array) -> list[float]:
             torque = self.pull(state[0]) - self.damping * state[1] - way * self.friction
             return [state[1], torque / self.inertia]

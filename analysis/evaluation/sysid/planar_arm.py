@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import cos, sin
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -83,34 +84,38 @@ class PlanarArm:
         payload_kg = float(np.exp(rng.uniform(np.log(0.2), np.log(2.0))))
         return cls(payload_kg, float(rng.uniform(0.005, 0.06)), elbow_is_held)
 
-    def weight(self, angles_rad: Array) -> Array:
-        """Torques that gravity asks of the joints [N·m], shape (2,)."""
+    def weight(self, first_rad: float, second_rad: float) -> tuple[float, float]:
+        """Torques that gravity asks of the joints [N·m]."""
         first_m, second_m = LINKS_M
         second = LINKS_KG[1] * second_m / 2 + self.payload_kg * second_m
         first = LINKS_KG[0] * first_m / 2 + (LINKS_KG[1] + self.payload_kg) * first_m
-        tip = second * np.sin(angles_rad[0] + angles_rad[1])
-        return GRAVITY_M_S2 * np.array([first * np.sin(angles_rad[0]) + tip, tip])
+        tip = GRAVITY_M_S2 * second * sin(first_rad + second_rad)
+        return GRAVITY_M_S2 * first * sin(first_rad) + tip, tip
 
-    def accelerations(self, angles_rad: Array, speeds: Array, torques: Array) -> Array:
-        """Of the joints [rad/s²] under the servos' torques [N·m], each of shape (2,)."""
+    def accelerations(
+        self, angles_rad: tuple[float, float], speeds: tuple[float, float], torques: Array
+    ) -> tuple[float, float]:
+        """Of the joints [rad/s²] under the servos' torques [N·m], shape (2,)."""
         first_m, second_m = LINKS_M
         tip_kg_m2 = 0.4 * self.payload_kg * TIP_RADIUS_M**2
         # moments of the second link and the payload about the elbow, first and second
         moment = LINKS_KG[1] * second_m / 2 + self.payload_kg * second_m
-        about_elbow = LINKS_KG_M2[1] + LINKS_KG[1] * (second_m / 2) ** 2
-        about_elbow += tip_kg_m2 + self.payload_kg * second_m**2
+        elbow = LINKS_KG_M2[1] + LINKS_KG[1] * (second_m / 2) ** 2
+        elbow += tip_kg_m2 + self.payload_kg * second_m**2
         carried = LINKS_KG_M2[0] + LINKS_KG[0] * (first_m / 2) ** 2
         carried += (LINKS_KG[1] + self.payload_kg) * first_m**2
-        cross = first_m * moment * np.cos(angles_rad[1])
-        both = about_elbow + cross
-        inertia = np.array([[carried + about_elbow + 2 * cross, both], [both, about_elbow]])
-        inertia += ARMATURE_KG_M2 * np.eye(2)
-        swing = first_m * moment * np.sin(angles_rad[1])
-        turning = np.array([-swing * (2 * speeds[0] + speeds[1]) * speeds[1], swing * speeds[0] ** 2])
-        force = torques - DAMPING * speeds - turning - self.weight(angles_rad)
+        cross = first_m * moment * cos(angles_rad[1])
+        swing = first_m * moment * sin(angles_rad[1])
+        weight = self.weight(*angles_rad)
+        first = float(torques[0]) - DAMPING * speeds[0] - weight[0]
+        first += swing * (2 * speeds[0] + speeds[1]) * speeds[1]
+        second = float(torques[1]) - DAMPING * speeds[1] - weight[1] - swing * speeds[0] ** 2
+        shoulder = carried + elbow + 2 * cross + ARMATURE_KG_M2
         if self.elbow_is_held:
-            return np.array([force[0] / inertia[0, 0], 0.0])
-        return np.linalg.solve(inertia, force)
+            return first / shoulder, 0.0
+        both, elbow = elbow + cross, elbow + ARMATURE_KG_M2
+        area = shoulder * elbow - both**2
+        return (elbow * first - both * second) / area, (shoulder * second - both * first) / area
 
     def moved(self, seconds: Array, told_s: Array, told_rad: Array) -> tuple[Array, Array, Array]:
         """Angles [rad], speeds [rad/s] and servos' torques [N·m], each of shape (T, 2).
@@ -146,13 +151,15 @@ class PlanarArm:
 
     def _rates(self, _: float, state: Array, command: Array) -> Array:
         torques = KP * (command - state[:2]) - KV * state[2:]
-        return np.concatenate([state[2:], self.accelerations(state[:2], state[2:], torques)])
+        first_rad, second_rad, first, second = state.tolist()
+        pulls = self.accelerations((first_rad, second_rad), (first, second), torques)
+        return np.array([first, second, *pulls])
 
     def _rest(self, command: Array) -> Array:
         """Where the servos hold the arm, shape (2,) [rad]."""
 
         def unheld(angles_rad: Array) -> Array:
-            torques = KP * (command - angles_rad) - self.weight(angles_rad)
+            torques = KP * (command - angles_rad) - self.weight(*angles_rad.tolist())
             if self.elbow_is_held:
                 torques[1] = command[1] - angles_rad[1]
             return torques

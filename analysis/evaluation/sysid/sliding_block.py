@@ -31,20 +31,22 @@ _REST_S = 1.0
 
 BLOCK = """\
 <mujoco model="block on a floor">
-  <option timestep="0.001" cone="elliptic" impratio="100" gravity="{gravity}"/>
+  <option timestep="0.0005" cone="elliptic" impratio="100" gravity="{gravity}"/>
   <default>
-    <geom solref="0.004 1" solimp="0.99 0.999 0.0001 0.5 2"/>
+    <geom solref="-60000 -150" solimp="0.999 0.999 0.0001 0.5 2"/>
   </default>
   <worldbody>
     <geom name="floor" type="plane" size="0 0 1" friction="0.01 0.005 0.0001"/>
     <body name="block" pos="0 0 0.03">
       <freejoint name="block"/>
-      <geom name="block" type="box" size="0.1 0.1 0.03" mass="{mass}" friction="1 0.005 0.0001"/>
+      <geom name="block" type="box" size="0.2 0.2 0.03" mass="{mass}" friction="1 0.005 0.0001"/>
     </body>
   </worldbody>
 </mujoco>
 """
-"""Of two geoms that touch, MuJoCo takes the larger friction."""
+"""Of two geoms that touch, MuJoCo takes the larger friction. Its contacts push a sliding block
+off the floor, by friction times speed times damping over stiffness: this floor is stiff and damps
+little."""
 
 
 @dataclass(frozen=True, eq=False)
