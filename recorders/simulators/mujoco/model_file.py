@@ -154,7 +154,7 @@ class _Reader:
         path = self.folder.find(references, places, tag)
         if tag == "mesh" and path.suffix.lower() not in _MESHES:
             raise UsageError(
-                f"{self.folder.names(tag, references[0])} MuJoCo cannot read as a mesh; it reads "
+                f"{self.folder.names(tag, references[0])} cannot be a mesh; MuJoCo reads "
                 f"{', '.join(_MESHES)}",
                 "convert it to .obj",
             )
