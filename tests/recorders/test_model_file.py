@@ -58,7 +58,8 @@ def urdf(mesh: str, more: str = "") -> str:
     return (
         f'\n<?xml version="1.0"?><robot name="r">{more}<link name="base"/><link name="tip">'
         f'<inertial><mass value="2"/>{inertia}</inertial><visual>'
-        f'<geometry><mesh filename="gone.dae"/></geometry></visual><collision>{shape}</collision></link>'
+        f'<geometry><mesh filename="gone.dae"/></geometry></visual>'
+        f"<collision>{shape}</collision></link>"
         '<joint name="j" type="continuous"><parent link="base"/><child link="tip"/></joint>'
         '<gazebo><plugin name="p" filename="libgazebo.so"/></gazebo></robot>'
     )
@@ -105,7 +106,8 @@ def test_models_attach_models(tmp_path: Path):
     (tmp_path / "tools/tool.xml").write_text(
         '<mujoco><compiler meshdir="m"/><asset><mesh file="a.obj"/>'
         '<model name="n" file="nail.xml"/></asset><worldbody><body name="grip">'
-        '<geom type="mesh" mesh="a"/><attach model="n" body="nail" prefix="n_"/></body></worldbody></mujoco>'
+        '<geom type="mesh" mesh="a"/><attach model="n" body="nail" prefix="n_"/>'
+        "</body></worldbody></mujoco>"
     )
     (tmp_path / "tools/nail.xml").write_text(
         '<mujoco><worldbody><body name="nail"><geom size="0.1"/></body></worldbody></mujoco>'

@@ -48,7 +48,7 @@ def read_model(path: Path, home: Path | None = None) -> Any:
             MuJoCo does not compile it within bounds of time, memory and size; with the path first.
     """
     folder = ModelFolder(path, home)
-    reader = _Reader(folder)
+    reader = _ModelReader(folder)
     data = folder.read(folder.path, f"{path}:", is_xml=True)
     text = ModelText(reader.prepared(folder.path, data, ()), reader.models, reader.files)
     check_compiles(text, path)
@@ -58,7 +58,7 @@ def read_model(path: Path, home: Path | None = None) -> Any:
         raise UsageError(f"{path}: MuJoCo does not read it", "try it again") from error
 
 
-class _Reader:
+class _ModelReader:
     """Gathers the files of a model, and writes its XML with names that MuJoCo finds there."""
 
     def __init__(self, folder: ModelFolder) -> None:
