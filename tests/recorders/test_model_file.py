@@ -154,6 +154,13 @@ def test_a_urdf_says_where_its_meshes_are(tmp_path: Path):
     assert read_model(path).compile().nmesh == 1
 
 
+def test_an_old_model_takes_no_gigabytes(tmp_path: Path):
+    size = '<size njmax="8000" nconmax="4000" nkey="2"/>'
+    (tmp_path / "m.xml").write_text(f"<mujoco>{size}</mujoco>")
+    model = read_model(tmp_path / "m.xml").compile()
+    assert (model.narena, model.nkey) == (100 * 1024**2, 2)
+
+
 def test_another_folder_is_allowed_by_name(tmp_path: Path):
     (tmp_path / "a/xml").mkdir(parents=True)
     (tmp_path / "a/tip.obj").write_bytes(TETRAHEDRON)

@@ -12,6 +12,7 @@ from recorders.simulators.mujoco.library import mujoco
 from recorders.simulators.mujoco.model_elements import (
     check_elements,
     file_stem,
+    give_memory,
     keep_physics,
     make_plain,
     without_namespace,
@@ -81,6 +82,7 @@ class _ModelReader:
         else:
             raise UsageError(f"{named}: begins with <{short_name(root.tag)}>", _WANTED)
         check_elements(root, named)
+        give_memory(root)
         self._gather(root, folders, (*above, path))
         return ET.tostring(root, encoding="unicode")
 
