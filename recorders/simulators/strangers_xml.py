@@ -24,11 +24,13 @@ def parse_xml(data: bytes, path: Path, kind: str, wanted: str) -> ET.Element:
         UsageError: it is none, or has more elements, or more in each other, than any robot.
     """
     try:
-        text = data.decode("utf-8-sig")
+        text = data.decode("utf-8-sig").lstrip()
     except UnicodeDecodeError as error:
-        raise UsageError(f"{path}: is no text in UTF-8, so no {kind} that can be read") from error
+        raise UsageError(
+            f"{path}: is no text in UTF-8, so no {kind} that can be read", wanted
+        ) from error
     if text.count("<") > _MOST_TAGS:
-        raise UsageError(f"{path}: over {_MOST_TAGS} tags, so no {kind} of a robot")
+        raise UsageError(f"{path}: over {_MOST_TAGS} tags, so no {kind} of a robot", wanted)
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise UsageError(
             f"{path}: has a document type, which no {kind} needs; remove <!DOCTYPE ...>"

@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import resource
 import sys
+from contextlib import suppress
 from importlib import import_module
 from typing import Any
 
@@ -23,7 +24,7 @@ CPU_S = 20
 """Of reading, compiling and a first step."""
 
 MOST_DOF, MOST_BODIES, MOST_GEOMS = 200, 2000, 10_000
-MOST_STATE_BYTES = 1024**3
+MOST_STATE_MB = 1000
 """Of a model's working memory, which each of its rollouts takes."""
 
 
@@ -52,9 +53,9 @@ def main() -> None:
 
 def _limit() -> None:
     """No more memory and time than given, whatever the file claims."""
-    with open("/proc/self/statm") as file:
+    with suppress(OSError), open("/proc/self/statm") as file:
         used = int(file.read().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY_BYTES, used + MEMORY_BYTES))
+        resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY_BYTES, used + MEMORY_BYTES))
     spent = resource.getrusage(resource.RUSAGE_SELF)
     seconds = int(spent.ru_utime + spent.ru_stime) + CPU_S
     resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
@@ -67,7 +68,7 @@ def _described(model: Any) -> dict[str, Any]:
         "degrees of freedom": (int(model.nv), MOST_DOF),
         "bodies": (int(model.nbody), MOST_BODIES),
         "geoms": (int(model.ngeom), MOST_GEOMS),
-        "bytes of working memory": (int(model.narena), MOST_STATE_BYTES),
+        "MB of working memory": (int(model.narena) // 1_000_000, MOST_STATE_MB),
     }
     arrays = {name: getattr(model, name) for name in dir(model) if name[0] != "_"}
     arrays |= {f"option {name}": getattr(model.opt, name) for name in dir(model.opt)}

@@ -18,6 +18,9 @@ _MOST_COPIES = 100_000
 _MOST_VALUES = 100_000
 """Of each counter in <size>: user values and keyframes."""
 
+_OLD_SIZES, _MEMORY = ("njmax", "nconmax", "nstack"), "100M"
+"""Of a model's working memory: a thousand contacts fit."""
+
 _CODE = ("plugin", "extension")
 _NAMES = ("name", "class", "childclass", "prefix")
 _NOT_FINITE = re.compile(r"nan|inf|e\+?\d{3}", re.IGNORECASE)
@@ -48,6 +51,14 @@ def check_elements(root: ET.Element, path: Path) -> None:
                 "lower the count in <replicate> or <flexcomp>",
             )
         stack += [(child, own) for child in element]
+
+
+def give_memory(root: ET.Element) -> None:
+    """Say in one word what older models say in three, by which some would take GBs."""
+    for size in root.iter("size"):
+        old = [size.attrib.pop(key) for key in _OLD_SIZES if key in size.attrib]
+        if old:
+            size.attrib.setdefault("memory", _MEMORY)
 
 
 def without_namespace(root: ET.Element) -> None:

@@ -12,6 +12,7 @@ from recorders.simulators.mujoco.library import mujoco
 from recorders.simulators.mujoco.model_elements import (
     check_elements,
     file_stem,
+    give_memory,
     keep_physics,
     make_plain,
     without_namespace,
@@ -48,7 +49,7 @@ def read_model(path: Path, home: Path | None = None) -> Any:
             MuJoCo does not compile it within bounds of time, memory and size; with the path first.
     """
     folder = ModelFolder(path, home)
-    reader = _Reader(folder)
+    reader = _ModelReader(folder)
     data = folder.read(folder.path, f"{path}:", is_xml=True)
     text = ModelText(reader.prepared(folder.path, data, ()), reader.models, reader.files)
     check_compiles(text, path)
@@ -58,7 +59,7 @@ def read_model(path: Path, home: Path | None = None) -> Any:
         raise UsageError(f"{path}: MuJoCo does not read it", "try it again") from error
 
 
-class _Reader:
+class _ModelReader:
     """Gathers the files of a model, and writes its XML with names that MuJoCo finds there."""
 
     def __init__(self, folder: ModelFolder) -> None:
@@ -81,6 +82,7 @@ class _Reader:
         else:
             raise UsageError(f"{named}: begins with <{short_name(root.tag)}>", _WANTED)
         check_elements(root, named)
+        give_memory(root)
         self._gather(root, folders, (*above, path))
         return ET.tostring(root, encoding="unicode")
 
@@ -154,7 +156,7 @@ class _Reader:
         path = self.folder.find(references, places, tag)
         if tag == "mesh" and path.suffix.lower() not in _MESHES:
             raise UsageError(
-                f"{self.folder.names(tag, references[0])} MuJoCo cannot read as a mesh; it reads "
+                f"{self.folder.names(tag, references[0])} cannot be a mesh; MuJoCo reads "
                 f"{', '.join(_MESHES)}",
                 "convert it to .obj",
             )

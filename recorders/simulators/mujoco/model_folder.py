@@ -71,7 +71,7 @@ class ModelFolder:
         if is_outside:
             raise UsageError(
                 f"{named} is outside the model's folder {short_name(self.folder)}",
-                "copy it there, and name it by its path from there",
+                "copy it there, with the model",
             )
         raise UsageError(f"{named} is not there", "copy it beside the model, or correct the name")
 

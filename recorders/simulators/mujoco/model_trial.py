@@ -27,11 +27,19 @@ _LEAST_STEP_S, _MOST_STEP_S = 1e-5, 0.1
 _MOST_WORDS = 240
 """Characters of what MuJoCo says."""
 
-_LINES = re.compile(r",? \(?line \d+\)?")
-"""Of the text that MuJoCo was given, which is not the user's file."""
+_LINES = re.compile(r",? \(?line \d+\)?|, id \d+")
+"""Of the text that MuJoCo was given, which is not the user's file; and numbers of elements."""
 
 _WORTHLESS = ("Element name ''", "The static bodies of the spec were fused")
 """Begins of lines that name nothing in the file."""
+
+_REMEDIES = {
+    "mass and inertia": "give that body or link a mass and inertias",
+    "inertia must": "correct its <inertia>; in a URDF, "
+    '<mujoco><compiler balanceinertia="true"/></mujoco> raises what is too small',
+    "global coordinates": "save it with MuJoCo 2.3.3 first",
+}
+"""By what MuJoCo says."""
 
 _FEWER = "take fewer copies (<replicate>, <flexcomp>), smaller meshes or height fields"
 
@@ -67,7 +75,7 @@ def check_compiles(text: ModelText, path: Path) -> None:
         raise _refused(path, found["error"])
     if found["beyond"]:
         raise UsageError(
-            f"{path}: has {found['beyond'][0]}", "keep the part that moved, and remove the rest"
+            f"{path}: has {found['beyond'][0]}", "keep what moved, and remove the rest"
         )
     if found["infinite"]:
         what = ", ".join(found["infinite"][:4])
@@ -120,11 +128,9 @@ def _refused(path: Path, said: str) -> UsageError:
     lines = [line.strip() for line in _LINES.sub("", said).splitlines()]
     kept = [line for line in lines if line and not line.startswith(_WORTHLESS)]
     why = "; ".join(kept).removeprefix("XML ").removeprefix("Error: ").rstrip(".")
-    is_weightless = "mass and inertia" in why
+    remedies = (remedy for words, remedy in _REMEDIES.items() if words in why)
     return UsageError(
-        f"{path}: MuJoCo {mujoco().__version__} does not compile it: "
+        f"{path}: MuJoCo {mujoco().__version__} does not take it: "
         f"{short_name(one_line(why), _MOST_WORDS)}",
-        "give that body or link a mass and inertias"
-        if is_weightless
-        else "correct that in the file",
+        next(remedies, "correct that in the file"),
     )

@@ -1,0 +1,179 @@
+"""A user's MuJoCo model or URDF becomes a spec, wherever in its folder its files lie."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import cv2
+import mujoco as stock
+import numpy as np
+import pytest
+
+from recorders.simulators.mujoco.model_file import read_model
+from tunenet_logs.errors import UsageError
+
+TETRAHEDRON = (
+    b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"  # of 1/6 m³
+)
+ARM = """<mujoco model="arm">
+  <compiler meshdir="parts" texturedir="paint"/>
+  <include file="sub/common.xml"/>
+  <asset>
+    <mesh file="wedge.obj" scale="0.1 0.1 0.1"/>
+    <mesh name="thin" file="deep/Wedge.obj" scale="0.1 0.1 0.05"/>
+    <hfield name="floor" file="floor.png" size="1 1 0.1 0.1"/>
+    <texture name="skin" type="2d" file="skin.png"/>
+    <texture file="gone.png"/>
+    <material name="painted" texture="skin"/>
+  </asset>
+  <worldbody>
+    <geom type="hfield" hfield="floor"/>
+    <body name="upper"><joint name="elbow" class="stiff"/>
+      <geom type="mesh" mesh="wedge" material="painted"/><geom type="mesh" mesh="thin"/>
+    </body>
+  </worldbody>
+</mujoco>"""
+COMMON = """<mujocoinclude><default><default class="stiff"><joint damping="3"/></default></default>
+  <include file="more.xml"/></mujocoinclude>"""
+MORE = '<mujoco><option timestep="0.004"/></mujoco>'
+
+
+def arm_in(folder: Path) -> Path:
+    for name in ("sub", "parts/deep", "paint"):
+        (folder / name).mkdir(parents=True)
+    (folder / "arm.xml").write_text(ARM)
+    (folder / "sub/common.xml").write_text(COMMON)
+    (folder / "sub/more.xml").write_text(MORE)
+    (folder / "parts/wedge.obj").write_bytes(TETRAHEDRON)
+    (folder / "parts/deep/Wedge.obj").write_bytes(TETRAHEDRON)
+    heights = np.arange(16, dtype=np.uint8).reshape(4, 4)
+    (folder / "parts/floor.png").write_bytes(cv2.imencode(".png", heights)[1].tobytes())
+    return folder / "arm.xml"
+
+
+def urdf(mesh: str, more: str = "") -> str:
+    inertia = '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/>'
+    shape = f'<geometry><mesh filename="{mesh}"/></geometry>'
+    return (
+        f'\n<?xml version="1.0"?><robot name="r">{more}<link name="base"/><link name="tip">'
+        f'<inertial><mass value="2"/>{inertia}</inertial><visual>'
+        f'<geometry><mesh filename="gone.dae"/></geometry></visual>'
+        f"<collision>{shape}</collision></link>"
+        '<joint name="j" type="continuous"><parent link="base"/><child link="tip"/></joint>'
+        '<gazebo><plugin name="p" filename="libgazebo.so"/></gazebo></robot>'
+    )
+
+
+def test_includes_meshes_and_height_fields_are_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """MuJoCo opens none of them: they are gone when it compiles."""
+    path = arm_in(tmp_path / "model")
+    spec = read_model(path)
+    for file in sorted(path.parent.rglob("*.*"), reverse=True):
+        file.unlink()
+    (tmp_path / "empty").mkdir()
+    monkeypatch.chdir(tmp_path / "empty")
+    for model in (spec.copy().compile(), spec.compile()):
+        assert model.opt.timestep == 0.004
+        assert model.dof_damping.tolist() == [3]
+        assert [model.mesh(number).name for number in range(2)] == ["wedge", "thin"]
+        assert model.body("upper").mass[0] == pytest.approx(1000 * (1e-3 + 5e-4) / 6)
+        assert model.hfield_data.max() == 1
+        assert model.material("painted").id == 0
+    assert os.listdir() == []  # noqa: PTH208
+
+
+def test_a_model_is_what_mujoco_itself_reads(tmp_path: Path):
+    path = arm_in(tmp_path)
+    picture = np.zeros((4, 4, 3), np.uint8)
+    for name in ("skin.png", "gone.png"):
+        (tmp_path / "paint" / name).write_bytes(cv2.imencode(".png", picture)[1].tobytes())
+    (tmp_path / "more.xml").write_text(MORE)
+    ours, theirs = read_model(path).compile(), stock.MjModel.from_xml_path(str(path))  # pyright: ignore[reportAttributeAccessIssue]
+    for name in ("body_mass", "body_inertia", "body_ipos", "geom_pos", "geom_quat", "mesh_vert"):
+        np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
+
+
+def test_models_attach_models(tmp_path: Path):
+    (tmp_path / "tools").mkdir()
+    (tmp_path / "arm.xml").write_text(
+        '<mujoco><asset><model name="tool" file="tools/tool.xml"/></asset><worldbody>'
+        '<body><joint/><geom size="0.1"/><attach model="tool" body="grip" prefix="left_"/>'
+        '<attach model="tool" body="grip" prefix="right_"/></body></worldbody></mujoco>'
+    )
+    (tmp_path / "tools/tool.xml").write_text(
+        '<mujoco><compiler meshdir="m"/><asset><mesh file="a.obj"/>'
+        '<model name="n" file="nail.xml"/></asset><worldbody><body name="grip">'
+        '<geom type="mesh" mesh="a"/><attach model="n" body="nail" prefix="n_"/>'
+        "</body></worldbody></mujoco>"
+    )
+    (tmp_path / "tools/nail.xml").write_text(
+        '<mujoco><worldbody><body name="nail"><geom size="0.1"/></body></worldbody></mujoco>'
+    )
+    (tmp_path / "tools/m").mkdir()
+    (tmp_path / "tools/m/a.obj").write_bytes(TETRAHEDRON)
+    model = read_model(tmp_path / "arm.xml").compile()
+    assert model.body("right_n_nail").id > 0
+    assert model.nmesh >= 1
+
+
+@pytest.mark.parametrize(
+    ("mesh", "at"),
+    [
+        ("tip.obj", "pkg/urdf/tip.obj"),
+        ("../meshes/tip.obj", "pkg/meshes/tip.obj"),
+        ("package://pkg/meshes/tip.obj", "pkg/meshes/tip.obj"),
+        ("package://pkg/meshes/tip.obj", "pkg/urdf/meshes/tip.obj"),
+        ("package://other/meshes/tip.obj", "pkg/urdf/other/meshes/tip.obj"),
+        ("package://other/meshes/tip.obj", "pkg/urdf/tip.obj"),
+        ("model://pkg/meshes/TIP.OBJ", "pkg/meshes/TIP.OBJ"),
+        ("file://{folder}/pkg/meshes/tip.obj", "pkg/meshes/tip.obj"),
+        ("meshes\\tip.obj", "pkg/urdf/meshes/tip.obj"),
+    ],
+)
+def test_a_urdf_finds_the_meshes_of_its_package(tmp_path: Path, mesh: str, at: str):
+    (tmp_path / "pkg/urdf").mkdir(parents=True)
+    (tmp_path / "pkg/package.xml").write_text("<package/>")
+    file = tmp_path / at
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_bytes(TETRAHEDRON)
+    path = tmp_path / "pkg/urdf/robot.urdf"
+    path.write_text(urdf(mesh.format(folder=tmp_path)))
+    model = read_model(path).compile()
+    assert (model.nmesh, model.nv, model.body("tip").mass[0]) == (1, 1, 2)
+
+
+def test_a_urdf_says_where_its_meshes_are(tmp_path: Path):
+    """As MuJoCo has it: folders are taken away, and its <compiler> names the one."""
+    (tmp_path / "m").mkdir()
+    (tmp_path / "m/tip.obj").write_bytes(TETRAHEDRON)
+    path = tmp_path / "robot.urdf"
+    path.write_text(urdf("package://x/y/tip.obj", '<mujoco><compiler meshdir="m"/></mujoco>'))
+    assert read_model(path).compile().nmesh == 1
+
+
+def test_an_old_model_takes_no_gigabytes(tmp_path: Path):
+    size = '<size njmax="8000" nconmax="4000" nkey="2"/>'
+    (tmp_path / "m.xml").write_text(f"<mujoco>{size}</mujoco>")
+    model = read_model(tmp_path / "m.xml").compile()
+    assert (model.narena, model.nkey) == (100 * 1024**2, 2)
+
+
+def test_another_folder_is_allowed_by_name(tmp_path: Path):
+    (tmp_path / "a/xml").mkdir(parents=True)
+    (tmp_path / "a/tip.obj").write_bytes(TETRAHEDRON)
+    path = tmp_path / "a/xml/robot.urdf"
+    path.write_text(urdf("../tip.obj"))
+    with pytest.raises(UsageError, match="outside"):
+        read_model(path)
+    assert read_model(path, tmp_path / "a").compile().nmesh == 1
+
+
+def test_links_inside_the_folder_are_followed(tmp_path: Path):
+    (tmp_path / "store").mkdir()
+    (tmp_path / "store/x.obj").write_bytes(TETRAHEDRON)
+    (tmp_path / "tip.obj").symlink_to(tmp_path / "store/x.obj")
+    (tmp_path / "robot.urdf").write_text(urdf("tip.obj"))
+    assert read_model(tmp_path / "robot.urdf").compile().nmesh == 1
