@@ -23,7 +23,7 @@ _MOST_BYTES = 4 * 1024 * 1024
 _MOST_POINTS = 100_000
 """Of a message: a minute and a half of a controller at 1 kHz."""
 
-_FREE_POINTS, _BYTES_A_POINT = 250_000, 50
+_FREE_POINTS, _BYTES_A_POINT = 200_000, 50
 """That all trajectories of a log may have, whatever its size is, and its bytes for each beyond."""
 
 _MOST_CELLS = 10_000_000

@@ -196,9 +196,9 @@ def test_the_points_and_values_of_a_log_are_bounded():
     with pytest.raises(BeyondLimitError, match="over 10000000 values"):
         rows.add(0, PlanSample(0, tuple(map(str, range(100))), points))
     rows.check(b"")
-    with pytest.raises(BeyondLimitError, match="over 250000 points"):
+    with pytest.raises(BeyondLimitError, match="over 200000 points"):
         rows.add(0, PlanSample(0, ("a",), points))
-    with pytest.raises(BeyondLimitError, match="over 250000 points"):
+    with pytest.raises(BeyondLimitError, match="over 200000 points"):
         rows.check(b"")
     assert rows.signals() == ([], [])  # no quantity was given
 
