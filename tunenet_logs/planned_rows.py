@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -23,7 +23,7 @@ _MOST_BYTES = 4 * 1024 * 1024
 _MOST_POINTS = 100_000
 """Of a message: a minute and a half of a controller at 1 kHz."""
 
-_FREE_POINTS, _BYTES_A_POINT = 250_000, 50
+_FREE_POINTS, _BYTES_A_POINT = 200_000, 50
 """That all trajectories of a log may have, whatever its size is, and its bytes for each beyond."""
 
 _MOST_CELLS = 10_000_000
@@ -175,7 +175,7 @@ class PlannedRows:
     def signals(self) -> tuple[list[Signal], list[str]]:
         """Those of the three quantities that have any value; nothing is ever repaired."""
         columns = tuple(self._joints)
-        parts = [(column, *part) for column in columns for part in self._kept_of(column)]
+        parts = [(column, *self._kept_of(column)) for column in columns]
         if not parts:
             return [], []
         stamps_ns = np.unique(np.concatenate([own_ns for _, own_ns, _ in parts]))
@@ -192,9 +192,7 @@ class PlannedRows:
                 found.append(Signal(name, stamps_ns, values, columns, unit, drives=True))
         return found, []
 
-    def _kept_of(
-        self, joint: str
-    ) -> Iterator[tuple[NDArray[np.int64], tuple[NDArray[np.float64], ...]]]:
+    def _kept_of(self, joint: str) -> tuple[NDArray[np.int64], tuple[NDArray[np.float64], ...]]:
         """What was planned for a joint and not replaced: stamps [ns], and the three quantities.
 
         What comes later goes before what came earlier, where both plan for one stamp.
@@ -218,7 +216,7 @@ class PlannedRows:
         rank = np.concatenate(ranks)
         order = np.lexsort((rank, arrived[rank]))
         three = tuple(np.concatenate(one)[order] for one in zip(*values, strict=True))
-        yield np.concatenate(stamps)[order], three
+        return np.concatenate(stamps)[order], three
 
     def _ends_ns(self, numbers: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
         """Until when what a message planned holds [ns]: the first start of any that came later.
