@@ -148,14 +148,18 @@ def _is_good(solution: Solution, target: Compared) -> bool:
 def _from_elsewhere(steps: GaussNewton, solution: Solution, tuned: int) -> Solution:
     """The best of solutions from other starts: those of many that are least off."""
     low, high = np.array([one.training_range for one in steps.parameters[:tuned]]).T
-    places = qmc.scale(qmc.Sobol(tuned, rng=0).random(_SCREENED), low, high)
+    places = qmc.scale(qmc.Halton(tuned, rng=0).random(_SCREENED), low, high)
     rest = np.array([one.initial for one in steps.parameters[tuned:]])
     starts = np.column_stack([places, np.repeat(rest[None], _SCREENED, axis=0)])
     off = steps.residuals(starts)
-    costs = [steps.cost(row, start) for row, start in zip(off, starts, strict=True)]
+    coarse = steps.coarse()
+    costs = [steps.cost(row, start, coarse) for row, start in zip(off, starts, strict=True)]
+    least = steps.cost(solution.residuals, solution.values, coarse)
     for place in np.argsort(costs)[:_RESTARTS]:
         other = steps.solve(starts[place])
-        if other.cost < solution.cost:
+        cost = steps.cost(other.residuals, other.values, coarse)
+        if cost < least:
+            least = cost
             solution = replace(other, path=(*solution.path[:1], *other.path))
         if _is_good(solution, steps.target):
             break

@@ -1,7 +1,6 @@
 """Least squares by rollouts: Gauss-Newton steps with finite differences, damped where they fail.
 
-The columns' noise is not known beforehand: each column is weighed by what is left of it, so that
-the cost is that of a normal likelihood from which the variances are maximized out.
+The columns' noise is not known beforehand: in the end, each is weighed by what is left of it.
 """
 
 from __future__ import annotations
@@ -19,11 +18,25 @@ Run = Callable[[Array], Array]
 """Rollouts at values of shape (N, P) -> what they show at the log's stamps, shape (N, M)."""
 
 _MOST_STEPS, _MOST_DAMPINGS = 25, 7
-_STEP = 1e-3
-"""Of the finite differences, as a share of a parameter's range or of its prior."""
+_WEIGHED, _SAME_NOISE = 3, 0.1
+"""How often columns are weighed by what is left of them, and by how much that may still change."""
 
-_STILL = 0.02
-"""Standard deviations: a step below this many is the last."""
+_COARSE_SHARE = 0.03
+_LONGEST_STEP = 0.5
+"""Of a parameter's range."""
+
+_FLAT = 1e-4
+"""Precision of a parameter of which nothing is known, in its range."""
+
+_FIRST_STEP, _LEAST_STEP, _MOST_STEP = 3e-3, 1e-5, 2e-2
+"""Of the finite differences, as a share of a parameter's range; the first of a prior is 0.2."""
+
+_CHANGE = 0.5
+"""Once it is known, a step changes what is seen by this many noises, rms: contacts and dry friction
+make rollouts rough where they are looked at more closely."""
+
+_STILL, _NO_GAIN = 0.05, 0.05
+"""Standard deviations, and a change of the cost, below which a step is the last."""
 
 _LOST = 3.0
 """Spreads of a column that a sample counts as off where a rollout has diverged."""
@@ -41,7 +54,6 @@ class Solution:
         residuals: simulated less observed, shape (M,).
         slopes: of what the rollouts show by the parameters, shape (M, P).
         noise: what is left of each column, shape (C,).
-        cost: twice the negative logarithm of the likelihood, but for a constant.
         path: the values of each step, the start first.
         chosen: which of the M values it was fitted to.
     """
@@ -50,7 +62,6 @@ class Solution:
     residuals: Array
     slopes: Array
     noise: Array
-    cost: float
     path: tuple[Array, ...]
     chosen: Array
 
@@ -92,6 +103,10 @@ class GaussNewton:
         self._spread = np.array([column.spread for column in self.target.columns])
         noise = np.array([column.noise for column in self.target.columns])
         self._floor = np.maximum(np.maximum(noise, _LEAST_NOISE * self._spread), 1e-12)
+        has_prior = self._precision > 0
+        self._least = _LEAST_STEP * self._scales
+        self._most = np.where(has_prior, 1.0, _MOST_STEP) * self._scales
+        self._steps = np.where(has_prior, 0.2, _FIRST_STEP) * self._scales
 
     def residuals(self, values: Array) -> Array:
         """Simulated less observed at values of shape (N, P), shape (N, M)."""
@@ -99,58 +114,87 @@ class GaussNewton:
         lost = self.target.per_value(_LOST * self._spread)
         return np.where(np.isfinite(off), off, lost)
 
-    def cost(self, residuals: Array, values: Array) -> float:
-        """See `Solution.cost`."""
-        left = self.noise(residuals)
-        counts = np.bincount(self.target.which[self.chosen], minlength=len(left))
-        squares = self.target.rms(residuals, self.chosen) ** 2
-        fit = float(np.sum(counts * (2 * np.log(left) + squares / left**2)))
+    def cost(self, residuals: Array, values: Array, noise: Array) -> float:
+        """Twice the negative logarithm of the likelihood, but for a constant.
+
+        Args:
+            residuals: shape (M,).
+            values: they belong to, shape (P,).
+            noise: of each column, shape (C,).
+        """
+        scaled = residuals / self.target.per_value(noise)
+        fit = float(np.sum(scaled[self.chosen] ** 2))
         return fit + float(np.sum(self._precision * (values - self._centres) ** 2))
 
-    def noise(self, residuals: Array) -> Array:
+    def left(self, residuals: Array) -> Array:
         """What is left of each column, but no less than its noise, shape (C,)."""
         return np.maximum(self.target.rms(residuals, self.chosen), self._floor)
 
+    def coarse(self) -> Array:
+        """What each column may be off far from the solution, shape (C,): alike in all of them."""
+        return np.maximum(self._floor, _COARSE_SHARE * self._spread)
+
     def solve(self, start: Array) -> Solution:
-        """Step from values of shape (P,) until steps are small beside what the noise allows."""
+        """Step from values of shape (P,) until steps are small beside what the noise allows.
+
+        All columns count alike at first; then each by what is left of it.
+        """
         values = np.clip(start, *self._bounds)
-        residuals = self.residuals(values[None])[0]
-        cost = self.cost(residuals, values)
         path = [values]
-        damping = 1e-3
-        for _ in range(_MOST_STEPS):
-            slopes = self._slopes(values, residuals)
-            step = None
-            for _ in range(_MOST_DAMPINGS):
-                step, sd = self._step(values, residuals, slopes, damping)
-                tried = np.clip(values + step, *self._bounds)
-                off = self.residuals(tried[None])[0]
-                new = self.cost(off, tried)
-                if new < cost:
-                    damping = max(damping / 10, 1e-7)
-                    break
-                if np.all(np.abs(tried - values) < _STILL * sd):
-                    step = None
-                    break
-                damping = max(damping, 1e-4) * 10
-            else:
-                step = None
-            if step is None:
-                break
-            moved = np.abs(tried - values)
-            values, residuals, cost = tried, off, new
-            path.append(values)
-            if np.all(moved < _STILL * sd):
+        residuals = self.residuals(values[None])[0]
+        noise = self.coarse()
+        if np.any(self.left(residuals) > noise):
+            values, residuals = self._descend(values, residuals, noise, path)
+        for _ in range(_WEIGHED):
+            noise = self.left(residuals)
+            values, residuals = self._descend(values, residuals, noise, path, is_central=True)
+            if np.allclose(self.left(residuals), noise, rtol=_SAME_NOISE):
                 break
         slopes = self._slopes(values, residuals, is_central=True)
-        noise = self.noise(residuals)
-        return Solution(values, residuals, slopes, noise, cost, tuple(path), self.chosen)
+        return Solution(values, residuals, slopes, noise, tuple(path), self.chosen)
+
+    def _descend(
+        self,
+        values: Array,
+        residuals: Array,
+        noise: Array,
+        path: list[Array],
+        *,
+        is_central: bool = False,
+    ) -> tuple[Array, Array]:
+        """Steps with one noise of each column; each is added to the path."""
+        cost = self.cost(residuals, values, noise)
+        damping = 1e-4
+        for _ in range(_MOST_STEPS):
+            slopes = self._slopes(values, residuals, is_central=is_central)
+            normal, slope = self._equations(values, residuals, slopes, noise)
+            sd = np.sqrt(np.diag(np.linalg.inv(normal))) * self._scales
+            seen = np.sqrt(np.diag(normal) / self.chosen.sum()) / self._scales
+            self._steps = np.clip(_CHANGE / seen, self._least, self._most)
+            for _ in range(_MOST_DAMPINGS):
+                step = self._step(values, normal, slope, damping)
+                tried = np.clip(values + step, *self._bounds)
+                if np.all(np.abs(tried - values) < _STILL * sd):
+                    return values, residuals
+                off = self.residuals(tried[None])[0]
+                new = self.cost(off, tried, noise)
+                if new < cost:
+                    break
+                damping = max(damping, 1e-3) * 10
+            else:
+                return values, residuals
+            damping = max(damping / 30, 1e-7)
+            moved, gain = np.abs(tried - values), cost - new
+            values, residuals, cost = tried, off, new
+            path.append(values)
+            if np.all(moved < _STILL * sd) or gain < _NO_GAIN:
+                break
+        return values, residuals
 
     def _slopes(self, values: Array, residuals: Array, *, is_central: bool = False) -> Array:
         """Finite differences, shape (M, P): to one side on the way, to both at its end."""
         low, high = self._bounds
-        steps = _STEP * self._scales
-        steps = np.where(values + steps > high, -steps, steps)
+        steps = np.where(values + self._steps > high, -self._steps, self._steps)
         count = len(values)
         rows = np.repeat(values[None], 2 * count if is_central else count, axis=0)
         for number in range(count):
@@ -162,26 +206,24 @@ class GaussNewton:
         widths = np.diag(rows[:count]) - (np.diag(rows[count:]) if is_central else values)
         return ((off[:count] - before) / widths[:, None]).T
 
-    def _step(
-        self, values: Array, residuals: Array, slopes: Array, damping: float
+    def _equations(
+        self, values: Array, residuals: Array, slopes: Array, noise: Array
     ) -> tuple[Array, Array]:
-        """A damped step, and what the noise leaves unsure of each parameter; each shape (P,)."""
-        weights = self.chosen / self.target.per_value(self.noise(residuals)) ** 2
+        """The normal equations in the parameters' ranges: shapes (P, P) and (P,)."""
+        weights = self.chosen / self.target.per_value(noise) ** 2
         scaled = slopes * self._scales
-        normal = scaled.T @ (weights[:, None] * scaled)
         precision = self._precision * self._scales**2
+        normal = scaled.T @ (weights[:, None] * scaled)
+        normal[np.diag_indices_from(normal)] += precision + _FLAT
         slope = scaled.T @ (weights * residuals)
-        slope += precision * (values - self._centres) / self._scales
-        normal[np.diag_indices_from(normal)] += precision + 1e-4
+        return normal, slope + precision * (values - self._centres) / self._scales
+
+    def _step(self, values: Array, normal: Array, slope: Array, damping: float) -> Array:
+        """A damped step, shape (P,); what lies on a bound and would go beyond it stays."""
         low, high = self._bounds
-        held = ((values <= low) & (slope > 0)) | ((values >= high) & (slope < 0))
-        free = ~held
-        step, sd = np.zeros(len(values)), np.zeros(len(values))
+        free = ~(((values <= low) & (slope > 0)) | ((values >= high) & (slope < 0)))
+        step = np.zeros(len(values))
         part = normal[np.ix_(free, free)]
-        damped = part + damping * np.diag(np.diag(part))
-        step[free] = -np.linalg.solve(damped, slope[free])
-        sd[free] = np.sqrt(np.diag(np.linalg.inv(part)))
-        most = np.abs(step).max(initial=0.0)
-        if most > 0.5 * len(step) and not self._precision.all():
-            step *= 0.5 * len(step) / most
-        return step * self._scales, np.maximum(sd, 1e-9) * self._scales
+        step[free] = -np.linalg.solve(part + damping * np.diag(np.diag(part)), slope[free])
+        tuned = np.abs(step[self._precision == 0]).max(initial=0.0)
+        return step * self._scales * min(1.0, _LONGEST_STEP / max(tuned, 1e-12))

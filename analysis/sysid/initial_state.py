@@ -43,6 +43,8 @@ def initial_state(model: Any, sensed: Sequence[Sensed], stamp_ns: int) -> Initia
         if found is None:
             continue
         (position, speed), (position_sd, speed_sd), knows_position = found
+        if abs(position - qpos[place_q]) < position_sd and abs(speed) < speed_sd:
+            continue  # as the model has it, such as a body that lies on the ground
         if knows_position:
             qpos[place_q] = position
             unsure.append(_unsure(f"initial/{label}.position", unit, position, position_sd))

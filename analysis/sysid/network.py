@@ -121,8 +121,7 @@ def _pairs(
 ) -> PairSet:
     """Rollouts over the ranges, from the log's initial state, and pairs of them."""
     low, high = np.array([one.training_range for one in parameters[:tuned]]).T
-    with_seed = qmc.Sobol(tuned, rng=0)
-    values = qmc.scale(with_seed.random(count), low, high)
+    values = qmc.scale(qmc.Halton(tuned, rng=0).random(count), low, high)
     rest = np.array([one.initial for one in parameters[tuned:]])
     rows = np.column_stack([values, np.repeat(rest[None], count, axis=0)])
     seen: list[Array] = []
