@@ -189,10 +189,10 @@ def _held_out(
     later = target.seconds > from_s
     if min(np.bincount(target.which[later], minlength=len(target.columns))) < 2:
         return None
-    before = GaussNewton(run, target, parameters, from_s).solve(solution.values)
+    _, residuals = GaussNewton(run, target, parameters, from_s).one_step(solution)
     return HeldOut(
         from_s,
-        target.values + before.residuals,
-        target.rms(before.residuals, later),
+        target.values + residuals,
+        target.rms(residuals, later),
         target.rms(first - target.values, later),
     )

@@ -213,13 +213,14 @@ class ModelSimulator:
         control_spec = spec.mjSTATE_CTRL | spec.mjSTATE_QFRC_APPLIED
         control = np.stack([self._control(row) for row in values])
         with rollout.Rollout(nthread=threads if threads > 1 else 0) as pool:
-            reached, sensed = pool.rollout(
+            found = pool.rollout(
                 models,
                 [library.MjData(models[0]) for _ in range(threads)],
                 states,
                 control,
                 control_spec=int(control_spec),
             )
+        reached, sensed = (np.asarray(one, np.float64) for one in found)
         step_s = self._model.opt.timestep
         expected_s = step_s * np.arange(1, self._steps + 1)
         episodes: list[Episode] = []
@@ -265,16 +266,17 @@ class ModelSimulator:
         edges_s = step_s * np.arange(self._steps + 1)
         control = np.zeros((self._steps, model.nu + model.nv))
         for drive in self.drives:
-            at_s = (drive.signal.stamps_ns - self.initial.stamp_ns) * 1e-9
+            at_s: Array = (drive.signal.stamps_ns - self.initial.stamp_ns) * 1e-9
             for column, target in zip(drive.columns, drive.targets, strict=True):
                 values = drive.signal.values[:, column]
                 good = np.isfinite(values)
+                seconds, values = at_s[good], values[good]
                 if drive.is_effort:
                     middle_s = edges_s[:-1] + step_s / 2
-                    held = np.interp(middle_s, at_s[good], values[good])
+                    held = np.interp(middle_s, seconds, values)
                     control[:, model.nu + target] = held
                 else:
-                    control[:, target] = held_means(at_s[good], values[good], edges_s - delay_s)
+                    control[:, target] = held_means(seconds, values, edges_s - delay_s)
         return control
 
     @property
