@@ -22,14 +22,12 @@ class Simulated:
         late_s: by which velocities are half a step behind the others.
         places: joints' or a free body's positions, shape (T, Q).
         speeds: shape (T, V).
-        torques: of the servos, shape (T, U).
     """
 
     seconds: Array
     late_s: float
     places: Array
     speeds: Array
-    torques: Array
 
 
 def true_model(log: ModelLog) -> Any:
@@ -72,21 +70,18 @@ def simulated(log: ModelLog, places: Array, speeds: Array) -> Simulated:
         data.ctrl[:] = row
         where, fast = data.qpos.copy(), data.qvel.copy()
         mujoco().mj_step(model, data)
-        rows.append((where, fast, data.actuator_force.copy()))
-    kinds = [np.array([row[kind] for row in rows]) for kind in range(3)]
+        rows.append((where, fast))
+    kinds = [np.array([row[kind] for row in rows]) for kind in range(2)]
     exact = model.opt.integrator == mujoco().mjtIntegrator.mjINT_RK4
     return Simulated(np.arange(count) * step_s, 0.0 if exact else step_s / 2, *kinds)
 
 
-def off(seconds: Array, values: Array, clean: Array, noise: Array, at: Array) -> Array:
-    """Rms difference of each column over the noise, shape (C,).
+def read(seconds: Array, values: Array, at: Array) -> Array:
+    """Simulated values of shape (S, C) at a sensor's times of shape (T,), shape (T, C)."""
+    return np.column_stack([np.interp(at, seconds, column) for column in values.T])
 
-    Args:
-        seconds: of the simulated values, shape (S,).
-        values: shape (S, C).
-        clean: what a sensor without noise reads, shape (T, C).
-        noise: standard deviation of each column, shape (C,).
-        at: when it reads, shape (T,).
-    """
-    columns = [np.interp(at, seconds, column) for column in values.T]
-    return np.sqrt(np.mean(((np.column_stack(columns) - clean) / noise) ** 2, axis=0))
+
+def off(values: Array, log: ModelLog, name: str) -> float:
+    """Largest rms difference of a column from what a sensor without noise reads, over its noise."""
+    apart = (values - log.clean[name]) / log.noise[name]
+    return float(np.max(np.sqrt(np.mean(apart**2, axis=0))))

@@ -24,11 +24,11 @@ from analysis.evaluation.sysid.pendulum import (
     pendulum_log,
     pendulum_of_unknown_mass,
 )
-from analysis.evaluation.sysid.planar_arm import PlanarArm
+from analysis.evaluation.sysid.planar_arm import KP, KV, PlanarArm
 from analysis.evaluation.sysid.sliding_block import POSE, block_log, block_of_unknown_mass
 from analysis.evaluation.sysid.wrong_models import wrong_arms, wrong_blocks, wrong_pendulums
 from recorders.simulators.mujoco.library import mujoco
-from tests.analysis.evaluation.sysid.simulated import off, simulated
+from tests.analysis.evaluation.sysid.simulated import off, read, simulated
 
 MAKERS = (
     pendulum_log,
@@ -43,20 +43,17 @@ Maker = Callable[..., ModelLog]
 
 def _joints_off(log: ModelLog) -> dict[str, float]:
     """The largest rms difference of each joint signal, over its noise."""
-    first = [log.clean[f"/joint_states.{one}"][0] for one in ("position", "velocity")]
-    motion = simulated(log, *first)
-    found: dict[str, float] = {}
-    for quantity, values in (
-        ("position", motion.places),
-        ("velocity", motion.speeds),
-        ("effort", motion.torques),
-    ):
-        name = f"/joint_states.{quantity}"
-        if name in log.clean:
-            late_s = motion.late_s if quantity == "velocity" else 0.0
-            at = log.episode.signals[name].seconds
-            one = off(motion.seconds - late_s, values, log.clean[name], log.noise[name], at)
-            found[quantity] = float(np.max(one))
+    names = [f"/joint_states.{one}" for one in ("position", "velocity", "effort")]
+    motion = simulated(log, *(log.clean[name][0] for name in names[:2]))
+    at = log.episode.signals[names[0]].seconds
+    places = read(motion.seconds, motion.places, at)
+    speeds = read(motion.seconds - motion.late_s, motion.speeds, at)
+    found = {"position": off(places, log, names[0]), "velocity": off(speeds, log, names[1])}
+    if names[2] in log.clean:
+        told = log.episode.signals["/joint_commands.position"]
+        obeyed = np.searchsorted(told.seconds + log.truth[DELAY], at, "right") - 1
+        wanted = told.values[np.maximum(obeyed, 0)]
+        found["effort"] = off(KP * (wanted - places) - KV * speeds, log, names[2])
     return found
 
 
@@ -70,7 +67,7 @@ def test_a_pendulum_moves_as_its_model(seed: int):
 def test_an_arm_moves_as_its_model(make: Maker):
     found = _joints_off(make(1))
     assert max(found["position"], found["velocity"]) < 0.1
-    assert found["effort"] < 0.5
+    assert found["effort"] < 0.3
 
 
 @pytest.mark.slow
@@ -81,8 +78,7 @@ def test_a_block_slides_as_its_model(seed: int):
     moved = np.polynomial.polynomial.polyfit(seconds[:5], clean[:5, :2], 2)
     half_step_s = 0.00025  # by which a velocity that is set is before the positions
     motion = simulated(log, clean[0], moved[1] - 2 * moved[2] * half_step_s)
-    at = log.episode.signals[POSE].seconds
-    assert off(motion.seconds, motion.places[:, :3], clean, log.noise[POSE], at).max() < 0.25
+    assert off(read(motion.seconds, motion.places[:, :3], seconds), log, POSE) < 0.25
 
 
 def test_dry_friction_holds_a_pendulum_for_good():
