@@ -173,7 +173,7 @@ def test_a_swing_tells_ratios_alone(factor: float):
 
 def test_wrong_models_are_models():
     arm, block = arm_log(0), block_log(0)
-    models = {**wrong_pendulums(), **wrong_arms(arm)}
+    models = {**wrong_pendulums(arm), **wrong_arms(arm)}
     assert len(wrong_arms(arm)) == 6
     for text in (*models.values(), *wrong_blocks(block).values()):
         mujoco().MjModel.from_xml_string(text)
