@@ -35,6 +35,9 @@ _STEP = 1e-6
 _DELAY_UNIT_S = 2000.0
 """In which a delay is tuned, so that its differences are over 2 ms, and not within a step."""
 
+_LEAST_CHANGE = 1e-9
+"""Of the parameters, over all of them, at which it ends: 2 microseconds of a delay."""
+
 _CONTACT_STEP = 5e-3
 """The same where a contact is simulated, whose small hops are other ones at any other value."""
 
@@ -115,7 +118,7 @@ def toolbox_answer(log: ModelLog, *, tunes_start: bool = False, threads: int = 1
         verbose=False,
         max_iters=_MOST_ITERATIONS,
         eps=_STEP if seen.weights is not None else _CONTACT_STEP,
-        xtol=_STEP,
+        xtol=_LEAST_CHANGE,
         x_scale="jac",
         output=io.StringIO(),
     )
