@@ -32,6 +32,15 @@ _START = "start"
 _STEP = 1e-6
 """Of finite differences, in place of 1.5e-8, at which the solver's own tolerance is seen."""
 
+_DELAY_UNIT_S = 2000.0
+"""In which a delay is tuned, so that its differences are over 2 ms, and not within a step."""
+
+_LEAST_CHANGE = 1e-9
+"""Of the parameters, over all of them, at which it ends: 2 microseconds of a delay."""
+
+_CONTACT_STEP = 5e-3
+"""The same where a contact is simulated, whose small hops are other ones at any other value."""
+
 _MOST_ITERATIONS = 100
 
 
@@ -43,7 +52,7 @@ class ToolboxAnswer:
         values: by address.
         intervals: of 95 %, by address; infinite where it says so.
         rollouts: simulated in all, those of finite differences too.
-        seconds: that it took.
+        seconds: of one processor that it took, whatever else the machine does.
     """
 
     values: Mapping[str, float]
@@ -56,6 +65,8 @@ def toolbox_answer(log: ModelLog, *, tunes_start: bool = False, threads: int = 1
     """The log's parameters by `mujoco.sysid`.
 
     Residuals are over each signal's standard deviation, which the noise is in proportion to.
+    Torques are left out where a delay is tuned: they jump with every command, so that least
+    squares over them have a minimum in each 10 ms of it, and the toolbox stays in the nearest.
 
     Args:
         log: with the owner's model.
@@ -68,9 +79,10 @@ def toolbox_answer(log: ModelLog, *, tunes_start: bool = False, threads: int = 1
         NotFoundError: a module that the toolbox imports is not installed.
     """
     sysid = _toolbox()
-    began_s = time.perf_counter()
+    began_s = time.process_time()
     spec = mujoco().MjSpec.from_string(log.model)
-    seen = measured(log.episode, spec)
+    delayed = any(text.startswith(_DELAY) for text in log.tune)
+    seen = measured(log.episode, spec, with_efforts=not delayed)
     parameters = sysid.ParameterDict()
     for text in log.tune:
         parameters.add(_parameter(sysid, spec, text))
@@ -79,18 +91,19 @@ def toolbox_answer(log: ModelLog, *, tunes_start: bool = False, threads: int = 1
         parameters.add(sysid.Parameter(_START, seen.start, low, high))
     model = spec.compile()
     ticks_s = np.arange(seen.count(model.opt.timestep) + 1) * model.opt.timestep
+    samples = sysid.TimeSeries.from_names(seen.seconds, seen.values, model)
     sequence = sysid.ModelSequences(
         "log",
         spec,
         "log",
         _full_state(sysid, model, seen.start),
         sysid.TimeSeries(ticks_s, np.zeros((len(ticks_s), model.nu))),
-        sysid.TimeSeries.from_names(seen.seconds, seen.values, model),
+        samples,
     )
     transform = sysid.SignalTransform(normalize=False)
     if seen.weights is not None:
         transform.set_sensor_weights(seen.weights)
-    rollouts = _Rollouts(sysid, seen)
+    rollouts = _Rollouts(sysid, seen, samples.signal_mapping)
     residual = sysid.build_residual_fn(
         models_sequences=[sequence],
         modify_residual=transform.apply,
@@ -104,19 +117,27 @@ def toolbox_answer(log: ModelLog, *, tunes_start: bool = False, threads: int = 1
         "mujoco",
         verbose=False,
         max_iters=_MOST_ITERATIONS,
-        eps=_STEP,
+        eps=_STEP if seen.weights is not None else _CONTACT_STEP,
+        xtol=_LEAST_CHANGE,
         x_scale="jac",
         output=io.StringIO(),
     )
     last, _, _ = residual(found.as_vector(), found)
     _, halves = sysid.calculate_intervals(last, result.jac)
     addresses = [text.partition("=")[0] for text in log.tune]
-    values = dict(zip(addresses, found.as_vector().tolist(), strict=False))
+    units = np.array([_DELAY_UNIT_S if one == _DELAY else 1.0 for one in addresses])
+    values = units * found.as_vector()[: len(units)]
+    halves = units * halves[: len(units)]
+    ends = np.column_stack([values - halves, values + halves])
     intervals = {
-        address: (values[address] - half, values[address] + half)
-        for address, half in zip(addresses, halves.tolist(), strict=False)
+        one: (low, high) for one, (low, high) in zip(addresses, ends.tolist(), strict=True)
     }
-    return ToolboxAnswer(values, intervals, rollouts.count, time.perf_counter() - began_s)
+    return ToolboxAnswer(
+        dict(zip(addresses, values.tolist(), strict=True)),
+        intervals,
+        rollouts.count,
+        time.process_time() - began_s,
+    )
 
 
 class _Rollouts:
@@ -126,9 +147,9 @@ class _Rollouts:
     MuJoCo takes them at a step's start, and the toolbox has them at its end.
     """
 
-    def __init__(self, sysid: Any, seen: Measured) -> None:
+    def __init__(self, sysid: Any, seen: Measured, sensors: Any) -> None:
         self.count = 0
-        self._sysid, self._seen = sysid, seen
+        self._sysid, self._seen, self._sensors = sysid, seen, sensors
 
     def __call__(
         self,
@@ -148,7 +169,7 @@ class _Rollouts:
             count = seen.count(step_s)
             control = np.zeros((count + 1, model.nu))
             if seen.commands is not None:
-                delay_s = float(parameters[_DELAY].value[0]) if _DELAY in parameters else 0.0
+                delay_s = _seconds(parameters[_DELAY].value) if _DELAY in parameters else 0.0
                 control = seen.commands.over_steps(step_s, count + 1, delay_s)
             controls.append(series(np.arange(count + 1) * step_s, control))
             if _START in parameters:
@@ -158,9 +179,9 @@ class _Rollouts:
         return [self._on_time(one) for one in rolled]
 
     def _on_time(self, rolled: Any) -> Any:
-        sensed = rolled.sensordata
-        early_s = sensed.times - rolled.model.opt.timestep
-        series = self._sysid.TimeSeries(early_s, sensed.data, sensed.signal_mapping)
+        times_s = rolled.sensordata.times - rolled.model.opt.timestep
+        # the very map of what is measured: the toolbox compares them with !=
+        series = self._sysid.TimeSeries(times_s, rolled.sensordata.data, self._sensors)
         return rolled.replace(sensordata=series)
 
 
@@ -182,10 +203,15 @@ def _full_state(sysid: Any, model: Any, start: Array) -> Array:
     return sysid.create_initial_state(model, positions, velocities)
 
 
+def _seconds(delay: Array) -> float:
+    return _DELAY_UNIT_S * float(delay[0])
+
+
 def _parameter(sysid: Any, spec: Any, text: str) -> Any:
     address, _, ends = text.partition("=")
     low, high = map(float, ends.split(":"))
     if address == _DELAY:
+        low, high = low / _DELAY_UNIT_S, high / _DELAY_UNIT_S
         return sysid.Parameter(address, (low + high) / 2, low, high)
     place = _PLACE.fullmatch(address)
     assert place is not None

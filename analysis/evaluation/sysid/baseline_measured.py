@@ -52,8 +52,14 @@ class Measured:
         return int(np.ceil(self.seconds[-1] / step_s)) + 2
 
 
-def measured(episode: Episode, spec: Any) -> Measured:
-    """The log's samples; the model gets a sensor for each that it can have."""
+def measured(episode: Episode, spec: Any, *, with_efforts: bool) -> Measured:
+    """The log's samples, with joints' torques or without.
+
+    Args:
+        episode: the log.
+        spec: of the model, which gets a sensor for each quantity of the joints that it has.
+        with_efforts: whether torques count.
+    """
     pose = next((one for one in episode.signals.values() if one.is_position), None)
     if pose is not None:
         return _posed(pose, spec)
@@ -62,7 +68,7 @@ def measured(episode: Episode, spec: Any) -> Measured:
     weights: dict[str, float] = {}
     for quantity, kind in _QUANTITIES.items():
         signal = episode.signals.get(f"{STATES}.{quantity}")
-        if signal is None:
+        if signal is None or (quantity == "effort" and not with_efforts):
             continue
         spread = np.std(signal.values, axis=0)
         spread = np.maximum(spread, _LEAST_SHARE * np.max(spread))
@@ -128,4 +134,6 @@ def _posed(pose: Signal, spec: Any) -> Measured:
     first = pose.seconds <= _START_S
     curve = np.polynomial.polynomial.polyfit(pose.seconds[first], pose.values[first, :2], 2)
     reach = np.array([0.02, 0.02, 0.5, 0.5])
-    return Measured(pose.seconds, pose.values, None, curve[:2].ravel(), reach, None)
+    return Measured(
+        pose.seconds, pose.values, None, np.asarray(curve[:2].ravel(), np.float64), reach, None
+    )

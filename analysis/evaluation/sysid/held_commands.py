@@ -26,7 +26,7 @@ class HeldCommands:
 
         A mean changes smoothly with the delay; what is held at the steps' starts would jump.
         """
-        edges = np.arange(count + 1) * step_s - delay_s
+        edges: Array = np.arange(count + 1, dtype=np.float64) * step_s - delay_s
         return np.diff(self._integral(edges), axis=0) / step_s
 
     def _integral(self, seconds: Array) -> Array:
