@@ -14,11 +14,15 @@ from typing import TYPE_CHECKING, Literal, Unpack
 from analysis.record import Tuning
 from analysis.tune_options import AnyPath, TuneOptions, ball_doubts, options_of
 from tunenet_logs.episode import Episode
+from tunenet_logs.errors import UsageError
 from tunenet_logs.progress import Listener, heard_by
 from tunenet_logs.terminal import Bar, Progress
 
 if TYPE_CHECKING:
     import pandas as pd  # pyright: ignore[reportMissingTypeStubs] (it ships its own types)
+
+    from analysis.selection import Options
+    from recorders.simulators.base import Simulator
 
 Reviewed = Literal["all", "none", "ok", "suspect", "rejected"]
 """Which logs get a review: all, none, or those of one verdict."""
@@ -27,6 +31,7 @@ Reviewed = Literal["all", "none", "ok", "suspect", "rejected"]
 def tune(
     source: AnyPath | Episode,
     *,
+    simulator: Simulator | None = None,
     name: str = "episode",
     engine: str | None = None,
     progress: Listener | None = None,
@@ -36,6 +41,8 @@ def tune(
 
     Args:
         source: a log's path, its address (`s3://...`), or an episode in memory.
+        simulator: one's own, an object with `parameters` and `rollout(values) -> Episode`, whose
+            signals are called as the log's; None for the experiments, or the option `model`.
         name: what an episode in memory is called in the result.
         engine: "pybullet" or "mujoco"; None for the first that is installed. It is chosen for the
             whole process while this runs.
@@ -57,12 +64,12 @@ def tune(
 
     with simulated_by(engine), heard_by(progress):
         if isinstance(source, Episode):
-            chosen = options_of(options)
+            chosen = _with(simulator, options_of(options))
             tuning = tune_episode(source, chosen, Path(name))
             sha256 = ""
         else:
             with _here(source) as path:
-                chosen = options_of(options, [path])
+                chosen = _with(simulator, options_of(options, [path]))
                 tuning = tune_log(path, chosen)
                 sha256 = ""
                 with suppress(OSError):  # the tuning says why
@@ -70,6 +77,17 @@ def tune(
     for doubt in ball_doubts(options, chosen.selection.ball):
         warnings.warn(doubt, stacklevel=2)
     return replace(tuning, provenance=provenance_of(tuning, sha256, chosen))
+
+
+def _with(simulator: Simulator | None, options: Options) -> Options:
+    """The options of a tuning by a simulator of the user's own, if there is one."""
+    if simulator is None:
+        return options
+    from analysis.sysid.source import GivenSimulator
+
+    if options.source is not None or options.task is not None:
+        raise UsageError("simulator does not go with model or task; leave them out")
+    return replace(options, source=GivenSimulator(simulator))
 
 
 @contextmanager
