@@ -30,6 +30,13 @@ FULL_REAL = 200
 FULL_SHOT = 60
 """Trials of a campaign; fewer make fewer drops in proportion."""
 
+SYSID_SECTIONS = ("tuned", "untold", "wrong", "toolbox", "network")
+"""Users' models tuned, with a parameter that a log cannot tell, of another machine, by another
+toolbox, and by the network's first step."""
+
+FULL_SYSID = 200
+"""Logs of a machine and section for each seed; a twentieth for the network."""
+
 FULL_ENGINES = 10
 """Targets of a range for each seed and pair of engines."""
 

@@ -12,12 +12,14 @@ from analysis.evaluation.choices import (
     FULL_ENGINES,
     FULL_REAL,
     FULL_SHOT,
+    FULL_SYSID,
     FULL_VIDEO,
     METHODS,
     PAYLOAD_SECTIONS,
     REAL_SECTIONS,
     SECTIONS,
     SHOT_SECTIONS,
+    SYSID_SECTIONS,
     USUAL_PAYLOAD_SECTIONS,
 )
 from analysis.evaluation.printing import EXPERIMENTS
@@ -46,6 +48,9 @@ anew for each seed, and print its figures beside the paper's.
              round and drops that leave the table: the paper's policy and ours
   engines    drops made by each physics engine and by an exact integrator, tuned in each:
              effective restitutions and motions beside each other
+  sysid      users' own models: a pendulum, an arm with a payload and late commands, a block that
+             slides, as SciPy integrates them: errors, intervals, what a log cannot tell, models
+             of other machines, the network's first step, and mujoco.sysid beside it
 
 Needs the libraries of the extra 'eval': pip install 'tunenet-logs[eval]'."""
 
@@ -62,7 +67,9 @@ _EXAMPLES = """\
   tunenet-eval real-balls --seeds 1 --targets 40     (a few minutes)
   tunenet-eval bounce-shot --seeds 1 --targets 12    (a few minutes)
   tunenet-eval bounce-shot --seeds 1 --campaign shots   (keeps logs, tunings, outcomes)
-  tunenet-eval engines --seeds 1                     (a few minutes)"""
+  tunenet-eval engines --seeds 1                     (a few minutes)
+  tunenet-eval sysid --seeds 1 --targets 20          (a quarter of an hour)
+  tunenet-eval sysid --seeds 1 --sections tuned      (over an hour on two cores)"""
 
 _METHODS_HELP = f"""\
 methods of the paper: {", ".join(METHODS[:6])}
@@ -80,10 +87,11 @@ _TARGETS = {
     "real-balls": FULL_REAL,
     "bounce-shot": FULL_SHOT,
     "engines": FULL_ENGINES,
+    "sysid": FULL_SYSID,
 }
-_WITH_SECTIONS = ("video", "payload", "real-balls", "bounce-shot")
+_WITH_SECTIONS = ("video", "payload", "real-balls", "bounce-shot", "sysid")
 _WITH_SECTIONS_IN_WORDS = f"{', '.join(_WITH_SECTIONS[:-1])} and {_WITH_SECTIONS[-1]}"
-_SEEDS = {"payload": 5}
+_SEEDS = {"payload": 5, "sysid": 1}
 _DEFAULT_SEEDS = 3
 _DEFAULT_TARGETS = 100
 """Unless an experiment has its own above, or its sections have; 100 targets as in the paper."""
@@ -100,7 +108,7 @@ def build_parser() -> Parser:
         "--seeds",
         type=whole(1, 1000),
         metavar="N",
-        help="how many, each with its own training and targets (default: 3; payload: 5)",
+        help="how many, each with its own training and targets (default: 3; payload: 5; sysid: 1)",
     )
     add(
         "--first-seed",
@@ -115,7 +123,7 @@ def build_parser() -> Parser:
         metavar="N",
         help="test targets for each seed and set (default: 100; video, real-balls: 200; payload: "
         "300, and two thirds as many logs in all, strangers: 400 logs a cell, conventions: 1000 "
-        "logs; bounce-shot: 60 trials a campaign; engines: 10)",
+        "logs; bounce-shot: 60 trials a campaign; engines: 10; sysid: 200 logs a machine)",
     )
     jobs_option(parser, "processes")
     _options_of_some(parser)
@@ -158,6 +166,7 @@ def _options_of_some(parser: Parser) -> None:
                 ("payload", PAYLOAD_SECTIONS),
                 ("real-balls", REAL_SECTIONS),
                 ("bounce-shot", SHOT_SECTIONS),
+                ("sysid", SYSID_SECTIONS),
             )
         ),
     )
