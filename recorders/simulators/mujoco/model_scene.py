@@ -165,9 +165,7 @@ class ModelScene:
             return [ball]
         thin = _BONE * length / 4
         turn = _towards(away / length)
-        rod = Shape(
-            "capsule", body, begin + away / 2, turn, np.array([thin, thin, length / 2])
-        )
+        rod = Shape("capsule", body, begin + away / 2, turn, np.array([thin, thin, length / 2]))
         return [ball, rod]
 
 
