@@ -42,7 +42,9 @@ def log_held_out(stream: rr.RecordingStream, data: SimulatorReviewData) -> rrb.C
 
 def _log_column(stream: rr.RecordingStream, data: SimulatorReviewData, number: int) -> rrb.View:
     column, entity = data.columns[number], f"held_out/{number}"
-    assert data.held_out_s is not None and column.fitted is not None and column.given is not None
+    assert data.held_out_s is not None
+    assert column.fitted is not None
+    assert column.given is not None
     later = column.seconds > data.held_out_s
     span = column.shown(column.fitted)
     for name, values, color, width in (

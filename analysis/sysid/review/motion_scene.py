@@ -14,9 +14,10 @@ import rerun.blueprint as rrb
 
 from analysis.record import Tuning
 from analysis.review.camera import eye_controls
-from analysis.review.drawing import GROUND, LOG_TIME, OBSERVED, Color, at_seconds, screen_radius
+from analysis.review.drawing import GROUND, OBSERVED, Color, at_seconds, screen_radius
 from analysis.sysid.experiment import SimulatorDetection
 from analysis.sysid.review.review_data import SimulatorReviewData
+from analysis.sysid.review.shapes import log_shapes
 from recorders.simulators.mujoco.library import mujoco
 from recorders.simulators.mujoco.model_scene import ModelScene, Shape
 from recorders.simulators.mujoco.model_simulator import ModelSimulator, Sensed
@@ -25,9 +26,6 @@ from tunenet_logs.arrays import Array
 _FIXED: Color = (92, 98, 114)
 _FLOOR: Color = (40, 43, 52)
 """Greys: what does not move."""
-
-_HALF = 128
-"""Opacity of what is simulated."""
 
 _MOST_HZ, _MOST_MOMENTS = 30.0, 3000
 """Poses that are sent: a screen shows few more."""
@@ -206,12 +204,12 @@ def _log_fixed(
         )
         stream.log(entity, place, static=True)
         solid = [shape for shape in shapes if shape.kind != "plane"]
-        _log_shapes(stream, entity, solid, _FIXED, is_solid=True)
+        log_shapes(stream, entity, solid, _FIXED, is_solid=True)
         planes = [shape for shape in shapes if shape.kind == "plane"]
         if planes:
             turn, at = motion.rotations[0, body], motion.positions_m[0, body]
             boxes = [_slab(one, turn.T @ (middle - at), size_m) for one in planes]
-            _log_shapes(stream, f"{entity}/planes", boxes, _FLOOR, is_solid=True)
+            log_shapes(stream, f"{entity}/planes", boxes, _FLOOR, is_solid=True)
 
 
 def _slab(plane: Shape, middle_m: Array, size_m: float) -> Shape:
@@ -250,62 +248,7 @@ def _log_motion(
             mat3x3=motion.rotations[:, body].astype(np.float32),
         )
         stream.send_columns(entity, indexes=[index], columns=columns)
-        _log_shapes(stream, entity, by_body[body], color, is_solid=is_solid)
-
-
-def _log_shapes(
-    stream: rr.RecordingStream,
-    entity: str,
-    shapes: Sequence[Shape],
-    color: Color,
-    *,
-    is_solid: bool,
-) -> None:
-    """In the frame of the body that they belong to."""
-    by_kind: dict[str, list[Shape]] = defaultdict(list)
-    for shape in shapes:
-        by_kind["box" if shape.kind == "plane" else shape.kind].append(shape)
-    rgba = (*color, 255 if is_solid else _HALF)
-    for kind, some in by_kind.items():
-        if kind == "mesh":
-            for number, shape in enumerate(some):
-                _log_mesh(stream, f"{entity}/mesh_{number}", shape, rgba)
-            continue
-        sizes = np.array([shape.size_m for shape in some])
-        middles = np.array([shape.position_m for shape in some])
-        style: dict[str, Any] = {
-            "quaternions": [rr.Quaternion(xyzw=_xyzw(shape.rotation)) for shape in some],
-            "colors": [rgba],
-            "fill_mode": "solid" if is_solid else "transparentfillmajorwireframe",
-        }
-        if kind == "box":
-            drawn = rr.Boxes3D(centers=middles, half_sizes=sizes, **style)
-        elif kind == "ellipsoid":
-            drawn = rr.Ellipsoids3D(centers=middles, half_sizes=sizes, **style)
-        elif kind == "cylinder":
-            lengths, radii = 2 * sizes[:, 2], sizes[:, 0]
-            drawn = rr.Cylinders3D(centers=middles, lengths=lengths, radii=radii, **style)
-        else:
-            begins = middles - np.array([one.rotation[:, 2] * one.size_m[2] for one in some])
-            lengths, radii = 2 * sizes[:, 2], sizes[:, 0]
-            drawn = rr.Capsules3D(translations=begins, lengths=lengths, radii=radii, **style)
-        stream.log(f"{entity}/{kind}", drawn, static=True)
-
-
-def _log_mesh(
-    stream: rr.RecordingStream, entity: str, shape: Shape, rgba: tuple[int, int, int, int]
-) -> None:
-    assert shape.vertices_m is not None and shape.triangles is not None
-    # Each triangle has its own corners, so that its side is flat and shaded by one normal.
-    corners = shape.vertices_m[shape.triangles] @ shape.rotation.T + shape.position_m
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    mesh = rr.Mesh3D(
-        vertex_positions=corners.reshape(-1, 3).astype(np.float32),
-        vertex_normals=np.repeat(normals, 3, axis=0).astype(np.float32),
-        albedo_factor=rgba,
-    )
-    stream.log(entity, mesh, static=True)
+        log_shapes(stream, entity, by_body[body], color, is_solid=is_solid)
 
 
 def _log_points(
@@ -328,10 +271,3 @@ def _log_points(
             stream.log(entity, style, static=True)
             columns = rr.Points3D.columns(positions=np.column_stack(known))
             stream.send_columns(entity, indexes=[at_seconds(at_s)], columns=columns)
-
-
-def _xyzw(rotation: Array) -> Array:
-    """A rotation as a quaternion, shape (4,)."""
-    found = np.empty(4)
-    mujoco().mju_mat2Quat(found, np.ascontiguousarray(rotation).ravel())
-    return found[[1, 2, 3, 0]]

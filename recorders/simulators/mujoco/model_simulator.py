@@ -219,8 +219,7 @@ class ModelSimulator:
         return [self._episode(seen, row) for seen, row in zip(sensed, values, strict=True)]
 
     def _rolled(self, values: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-        """Of N rollouts: states at first (N, S) and after each step (N, steps, S), sensors (N,
-        steps, D), and which steps are before it diverges (N, steps)."""
+        """States before and after the steps, sensors, and which steps are before it diverges."""
         library = mujoco()
         from mujoco import rollout
 
