@@ -306,7 +306,7 @@ def log_iterates(stream: rr.RecordingStream, iterates: Iterates, first_s: float)
     values = rr.Points2D(dots, colors=iterates.colors, radii=screen_radius(5.0), draw_order=20.0)
     stream.log(f"{sheet}/values", values, static=True)
     figures = rr.Points2D(
-        [dots[k] - [0, _FIGURE_RISE] for k in labelled],
+        [dots[k] - [0, _FIGURE_RISE * wide / _FIGURE_WIDTH] for k in labelled],
         labels=[f"{iterates.values[k]:{iterates.figures}}" for k in labelled],
         colors=[iterates.colors[k] for k in labelled],
         radii=screen_radius(0.1),

@@ -1,4 +1,4 @@
-"""Curves over the log's time: observed dots under lines, and a line where a part begins."""
+"""Curves over the log's time: observed under simulated ones, and a line where a part begins."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import rerun.blueprint as rrb
 from analysis.review.drawing import MUTED, OBSERVED, Color, send_scalars, ticked
 from tunenet_logs.arrays import Array
 
-_MANY = 300
-"""Samples above which dots of the usual size would hide the lines."""
+_BROAD = 3.2
+"""Width of what was observed [points]: it is seen beside a line that lies upon it."""
 
 _INSTANT_S = 1e-6
 """What an upright line lasts: a plot has no such thing as an instant with two values."""
@@ -41,11 +41,9 @@ def log_lines(
 
 
 def log_observed(stream: rr.RecordingStream, entity: str, seconds: Array, values: Array) -> None:
-    """What was recorded, as dots."""
-    size = 1.0 if len(seconds) > _MANY else 2.0
-    points = rr.SeriesPoints(colors=[OBSERVED], names=["observed"], marker_sizes=[size])
-    stream.log(entity, points, static=True)
-    send_scalars(stream, entity, seconds, values)
+    """What was recorded, as a broad line: plots draw entities by name, so that it lies lowest."""
+    style: list[tuple[str, Color, float]] = [("observed", OBSERVED, _BROAD)]
+    log_lines(stream, f"{entity}/as_observed", seconds, values[:, None], style)
 
 
 def log_upright(

@@ -56,7 +56,7 @@ def _log_column(stream: rr.RecordingStream, data: SimulatorReviewData, number: i
         if good.any():
             style: list[tuple[str, Color, float]] = [(name, color, width)]
             log_lines(stream, f"{entity}/{name}", column.seconds[good], values[good, None], style)
-    log_observed(stream, f"{entity}/observed", column.seconds, column.observed)
+    log_observed(stream, entity, column.seconds, column.observed)
     log_upright(stream, f"{entity}/begins", data.held_out_s, span)
     return plot(entity, column.title(f"predicted from {data.held_out_s:.2f} s"), span)
 

@@ -29,6 +29,9 @@ from tunenet_logs.terminal import short_name
 _MOST_PARAMETERS = 6
 """That have a chart: more would be too small to read; the table has all."""
 
+_STACKED = 3
+"""Charts that lie one over the other; more take two columns."""
+
 _MOST_ROWS = 20
 """Of tables."""
 
@@ -60,12 +63,12 @@ def log_scrub(stream: rr.RecordingStream, data: SimulatorReviewData) -> rrb.Cont
         words = rr.TextDocument.columns(text=[_words(data, k) for k in chosen])
         stream.send_columns("step", indexes=[index], columns=words)
     step = rrb.TextDocumentView(origin="/step", name="iteration")
-    across = 1 if len(charts) <= 2 else 2
-    rows = -(-len(charts) // across)
+    is_narrow = len(charts) <= _STACKED
     return rrb.Horizontal(
-        rrb.Grid(*sheets, grid_columns=1 if len(sheets) <= 2 else 2),
-        rrb.Vertical(step, rrb.Grid(*charts, grid_columns=across), row_shares=[2.4, 1.2 * rows]),
-        column_shares=[5, 4],
+        rrb.Grid(*sheets, grid_columns=1 if len(sheets) <= _STACKED else 2),
+        rrb.Grid(*charts, grid_columns=1 if is_narrow else 2),
+        step,
+        column_shares=[4.6, 3.2, 3.2] if is_narrow else [4.0, 4.2, 3.0],
         name=f"scrub (timeline {ITERATION})",
     )
 

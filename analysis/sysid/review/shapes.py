@@ -41,7 +41,7 @@ def log_shapes(
         style: dict[str, Any] = {
             "quaternions": [rr.Quaternion(xyzw=_xyzw(shape.rotation)) for shape in some],
             "colors": [rgba],
-            "fill_mode": "solid" if is_solid else "transparentfillmajorwireframe",
+            "fill_mode": "solid",
         }
         if kind == "box":
             drawn = rr.Boxes3D(centers=middles, half_sizes=sizes, **style)

@@ -45,7 +45,7 @@ def log_simulator(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
     scene = log_scene(stream, tuning, data)
     parts: list[rrb.View | rrb.Container] = [] if scene is None else [scene]
     parts += [overlay, rrb.TextDocumentView(origin="/result", name="result")]
-    shares = [6.0, 4.6] if scene is None else [4.6, 5.4, 4.2]
+    shares = [6.0, 4.6] if scene is None else [4.2, 5.2, 4.8]
     tabs: list[rrb.Container] = [
         rrb.Horizontal(*parts, column_shares=shares, name=f"overlay (timeline {LOG_TIME})")
     ]
@@ -83,12 +83,12 @@ def _lines(data: SimulatorReviewData, column: ShownColumn) -> list[tuple[str, Co
 
 
 def _log_curves(stream: rr.RecordingStream, data: SimulatorReviewData, number: int) -> rrb.View:
-    """Observed dots under the iterations; guesses before the result may run off."""
+    """What was observed under the iterations; guesses before the result may run off."""
     column, entity = data.columns[number], f"signal/{number}"
     span = column.shown(column.simulated[:, -1])
     values = column.simulated[:, data.drawn]
     log_lines(stream, f"{entity}/iterations", column.seconds, values, _lines(data, column))
-    log_observed(stream, f"{entity}/observed", column.seconds, column.observed)
+    log_observed(stream, entity, column.seconds, column.observed)
     if data.held_out_s is not None:
         log_upright(stream, f"{entity}/held_out", data.held_out_s, span)
     return plot(entity, column.title(), span)
@@ -115,12 +115,12 @@ def _log_residuals(stream: rr.RecordingStream, data: SimulatorReviewData, number
 def _log_key(stream: rr.RecordingStream, data: SimulatorReviewData) -> rrb.View:
     entries: list[tuple[str, list[Color]]] = [("observed", [OBSERVED]), _iterations(data)]
     if data.held_out_s is not None:
-        entries.append((f"{data.held_out_s:.2f} s: predicted from here", [MUTED]))
+        entries.append((f"{data.held_out_s:.2f} s: held out", [MUTED]))
     return log_key(stream, entries)
 
 
 def _iterations(data: SimulatorReviewData) -> tuple[str, list[Color]]:
-    return "iterations, the result last", [data.iterates[k].color for k in data.drawn]
+    return "iterations", [data.iterates[k].color for k in data.drawn]
 
 
 def _residual_entries(data: SimulatorReviewData) -> list[tuple[str, list[Color]]]:
