@@ -216,9 +216,15 @@ def _every(seconds: Array) -> int:
 
 def _names(columns: tuple[Column, ...]) -> list[str]:
     """Short ones: "position elbow" of /joint_states.position elbow; longer where two are equal."""
-    short = [f"{one.signal.rpartition('/')[2].rpartition('.')[2]} {one.name}" for one in columns]
+    short = [f"{_last(one.signal)} {one.name}" for one in columns]
     counts = Counter(short)
     chosen = [
         name if counts[name] == 1 else one.label for name, one in zip(short, columns, strict=True)
     ]
     return [short_name(name, _LONGEST_NAME) for name in chosen]
+
+
+def _last(signal: str) -> str:
+    """The quantity of joints, else the end of a topic's name: "tool/pose" of /robot/tool/pose."""
+    topic, _, quantity = signal.rpartition(".")
+    return quantity if topic else "/".join(signal.strip("/").split("/")[-2:])
