@@ -66,8 +66,6 @@ class ModelScene:
     @cached_property
     def shapes(self) -> tuple[Shape, ...]:
         """All that is seen; of a model without any, what stands for its masses."""
-        kinds = mujoco().mjtGeom
-        meshes = (kinds.mjGEOM_MESH, kinds.mjGEOM_SDF)
         model = self.model
         seen = np.flatnonzero(self._has_alpha)
         shown = [geom for geom in seen if model.geom_group[geom] < _SHOWN_GROUPS]
@@ -76,9 +74,9 @@ class ModelScene:
         left = _MOST_TRIANGLES
         found: list[Shape] = []
         for geom in sorted(shown, key=self._triangles):
-            is_mesh = model.geom_type[geom] in meshes and model.geom_dataid[geom] >= 0
-            left -= self._triangles(geom)
-            found.append(self._mesh(geom) if is_mesh and left >= 0 else self._plain(geom))
+            triangles = self._triangles(geom)
+            left -= triangles
+            found.append(self._mesh(geom) if triangles and left >= 0 else self._plain(geom))
         if not any(model.body_weldid[shape.body] for shape in found):
             found += [shape for body in self.moving for shape in self._masses(body)]
         return tuple(found)
@@ -111,7 +109,7 @@ class ModelScene:
         """How many a geom's mesh has."""
         mesh = self.model.geom_dataid[geom]
         kinds = mujoco().mjtGeom
-        is_mesh = self.model.geom_type[geom] in (kinds.mjGEOM_MESH, kinds.mjGEOM_SDF)
+        is_mesh = int(self.model.geom_type[geom]) in (kinds.mjGEOM_MESH, kinds.mjGEOM_SDF)
         return int(self.model.mesh_facenum[mesh]) if is_mesh and mesh >= 0 else 0
 
     def _mesh(self, geom: int) -> Shape:
@@ -134,7 +132,7 @@ class ModelScene:
         kinds, model = mujoco().mjtGeom, self.model
         body, size = int(model.geom_bodyid[geom]), model.geom_size[geom]
         rotation, position = _rotation(model.geom_quat[geom]), model.geom_pos[geom].copy()
-        kind = model.geom_type[geom]
+        kind = int(model.geom_type[geom])  # NumPy's numbers are in no tuple of MuJoCo's
         if kind == kinds.mjGEOM_PLANE:
             return Shape("plane", body, position, rotation, np.array([size[0], size[1], 0.0]))
         if kind == kinds.mjGEOM_SPHERE:
