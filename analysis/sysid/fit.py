@@ -148,9 +148,7 @@ def _is_good(solution: Solution, target: Compared) -> bool:
 def _from_elsewhere(steps: GaussNewton, solution: Solution, tuned: int) -> Solution:
     """The best of solutions from other starts: those of many that are least off."""
     low, high = np.array([one.training_range for one in steps.parameters[:tuned]]).T
-    # The sequence up to a power of two, without SciPy's warning about other counts.
-    drawn = qmc.Sobol(tuned, rng=0).random_base2((_SCREENED - 1).bit_length())[:_SCREENED]
-    places = qmc.scale(drawn, low, high)
+    places = qmc.scale(qmc.Halton(tuned, rng=0).random(_SCREENED), low, high)
     rest = np.array([one.initial for one in steps.parameters[tuned:]])
     starts = np.column_stack([places, np.repeat(rest[None], _SCREENED, axis=0)])
     off = steps.residuals(starts)

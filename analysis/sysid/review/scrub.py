@@ -29,8 +29,8 @@ from tunenet_logs.terminal import short_name
 _MOST_PARAMETERS = 6
 """That have a chart: more would be too small to read; the table has all."""
 
-_STACKED = 3
-"""Charts that lie one over the other; more take two columns."""
+_STACKED, _NARROW = 3, 1.4
+"""Charts that lie one over the other; more take two columns, so wide in their heights."""
 
 _MOST_ROWS = 20
 """Of tables."""
@@ -50,10 +50,11 @@ _LEAST_SHARE = 0.02
 
 def log_scrub(stream: rr.RecordingStream, data: SimulatorReviewData) -> rrb.Container:
     """Send what one iteration shows, and each parameter by iteration."""
+    width = WIDTH if len(data.main) <= _STACKED else _NARROW
     sheets: list[rrb.View] = []
     for number, column in enumerate(data.main):
-        _log_sheet(stream, data, f"signal_{number}", column)
-        sheets.append(chart_view(f"signal_{number}", column.title()))
+        _log_sheet(stream, data, f"signal_{number}", column, width)
+        sheets.append(chart_view(f"signal_{number}", column.title(), width))
     charts = [
         _log_parameter(stream, data, number)
         for number in range(min(len(data.parameters), _MOST_PARAMETERS))
@@ -74,7 +75,11 @@ def log_scrub(stream: rr.RecordingStream, data: SimulatorReviewData) -> rrb.Cont
 
 
 def _log_sheet(
-    stream: rr.RecordingStream, data: SimulatorReviewData, name: str, column: ShownColumn
+    stream: rr.RecordingStream,
+    data: SimulatorReviewData,
+    name: str,
+    column: ShownColumn,
+    width: float,
 ) -> None:
     """An iteration's curve over the observed one, which stays."""
     sheet = f"sheets/{name}"
@@ -86,7 +91,7 @@ def _log_sheet(
     bottom = (low + high - reach) / 2
     start_s = float(column.seconds[0])
     width_s = max(float(column.seconds[-1]) - start_s, 1e-9)
-    x = (column.seconds - start_s) / width_s * WIDTH
+    x = (column.seconds - start_s) / width_s * width
 
     def points(values: Array) -> Array:
         good = np.isfinite(values)
@@ -94,10 +99,10 @@ def _log_sheet(
 
     rows = [(-(value - bottom) / reach, f"{value:g}") for value in ticks(bottom, bottom + reach, 3)]
     marks = [
-        ((second - start_s) / width_s * WIDTH, f"{second:g} s")
-        for second in ticks(start_s, start_s + width_s)
+        ((second - start_s) / width_s * width, f"{second:g} s")
+        for second in ticks(start_s, start_s + width_s, 5 if width == WIDTH else 3)
     ]
-    log_grid(stream, sheet, WIDTH, rows, marks)
+    log_grid(stream, sheet, width, rows, marks)
     dots = rr.Points2D(points(column.observed), colors=[OBSERVED], radii=screen_radius(1.2))
     stream.log(f"{sheet}/observed", dots, static=True)
     style = rr.LineStrips2D.from_fields(radii=screen_radius(1.4), draw_order=40.0)
@@ -128,7 +133,7 @@ def _log_parameter(stream: rr.RecordingStream, data: SimulatorReviewData, number
         span=span_of([*values, *(interval or ())], least),
         interval95=interval,
         chart=f"parameter_{number}",
-        title=_title(parameter),
+        title=_title(parameter, has_unit=len(data.parameters) <= _STACKED),
         figures=".4g",
         figure_width=_FIGURE_WIDTH,
     )
@@ -136,11 +141,10 @@ def _log_parameter(stream: rr.RecordingStream, data: SimulatorReviewData, number
     return iterates_view(iterates)
 
 
-def _title(parameter: Parameter) -> str:
+def _title(parameter: Parameter, *, has_unit: bool) -> str:
     """Short: "elbow.damping [N·m·s/rad]" of joint/elbow.damping."""
-    return quantity(
-        short_name(parameter.name.partition("/")[2] or parameter.name, 26), parameter.unit
-    )
+    name = short_name(parameter.name.partition("/")[2] or parameter.name, 26)
+    return quantity(name, parameter.unit if has_unit else "1")
 
 
 def _words(data: SimulatorReviewData, k: int) -> str:
