@@ -67,10 +67,10 @@ class ModelScene:
     def shapes(self) -> tuple[Shape, ...]:
         """All that is seen; of a model without any, what stands for its masses."""
         model = self.model
-        seen = np.flatnonzero(self._has_alpha)
+        seen = [int(geom) for geom in np.flatnonzero(self._has_alpha)]
         shown = [geom for geom in seen if model.geom_group[geom] < _SHOWN_GROUPS]
         if not any(model.body_weldid[model.geom_bodyid[geom]] for geom in shown):
-            shown = list(seen)
+            shown = seen
         left = _MOST_TRIANGLES
         found: list[Shape] = []
         for geom in sorted(shown, key=self._triangles):

@@ -242,6 +242,7 @@ class ModelSimulator:
             )
         step_s = self._model.opt.timestep
         expected_s = step_s * np.arange(1, self._steps + 1)
+        reached, sensed = np.asarray(reached), np.asarray(sensed)
         kept = np.isclose(reached[:, :, 0], expected_s, rtol=0, atol=step_s / 2)
         return states, reached, sensed, np.logical_and.accumulate(kept, axis=1)
 

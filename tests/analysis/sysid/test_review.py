@@ -98,7 +98,7 @@ def test_the_model_swings_as_the_pendulum_did(tuned: Tuning, tmp_path: Path, nam
     turned = np.array([cell.as_py() for cell in cells]).reshape(-1, 3, 3).swapaxes(1, 2)
     # About -y: the bob hangs along -z, and swings towards +x by the angle.
     angles = np.arctan2(-turned[:, 0, 2], turned[:, 2, 2])
-    seconds = times * 1e-9
+    seconds = times.astype(np.float64) * 1e-9
     known = seconds <= 3.99
     assert known.sum() > 100
     assert np.abs(angles[known] - swing(seconds[known])[:, 0]).max() < 0.06
