@@ -152,6 +152,9 @@ _FIGURE_WIDTH = 0.62
 _FIGURE_RISE = 0.2
 """Chart heights from a dot up to the place that its figure hangs from."""
 
+_MOST_RISEN = 1.6
+"""Times that, in a chart whose figures are wide."""
+
 _LEAST_BAND = 0.008
 """Chart heights: a narrower interval would not be seen."""
 
@@ -281,6 +284,7 @@ def log_iterates(stream: rr.RecordingStream, iterates: Iterates, first_s: float)
     low, high = iterates.span
     count = len(iterates.values)
     sheet, wide = f"sheets/{iterates.chart}", iterates.figure_width
+    rise = _FIGURE_RISE * min(wide / _FIGURE_WIDTH, _MOST_RISEN)
 
     def y(value: float) -> float:
         return -(value - low) / (high - low)
@@ -306,7 +310,7 @@ def log_iterates(stream: rr.RecordingStream, iterates: Iterates, first_s: float)
     values = rr.Points2D(dots, colors=iterates.colors, radii=screen_radius(5.0), draw_order=20.0)
     stream.log(f"{sheet}/values", values, static=True)
     figures = rr.Points2D(
-        [dots[k] - [0, _FIGURE_RISE * wide / _FIGURE_WIDTH] for k in labelled],
+        [dots[k] - [0, rise] for k in labelled],
         labels=[f"{iterates.values[k]:{iterates.figures}}" for k in labelled],
         colors=[iterates.colors[k] for k in labelled],
         radii=screen_radius(0.1),

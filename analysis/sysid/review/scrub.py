@@ -41,8 +41,8 @@ _ROOM = 0.05
 _BEYOND = 0.5
 """How far guesses widen a chart, of what was observed; they are cut there."""
 
-_FIGURE_WIDTH = 1.0
-"""Of a small chart: its numbers are larger beside it."""
+_STACKED_FIGURE, _SMALL_FIGURE = 1.0, 1.4
+"""What a number takes up across, in heights of a chart: the smaller this is, the more."""
 
 _LEAST_SHARE = 0.02
 """Of a parameter's range: less is drawn as still."""
@@ -118,6 +118,7 @@ def _log_sheet(
 def _log_parameter(stream: rr.RecordingStream, data: SimulatorReviewData, number: int) -> rrb.View:
     """One parameter by iteration, and the result's interval."""
     parameter = data.parameters[number]
+    is_narrow = len(data.parameters) <= _STACKED
     values = [float(one.values[number]) for one in data.iterates]
     interval = None
     if data.interval95 is not None:
@@ -133,9 +134,9 @@ def _log_parameter(stream: rr.RecordingStream, data: SimulatorReviewData, number
         span=span_of([*values, *(interval or ())], least),
         interval95=interval,
         chart=f"parameter_{number}",
-        title=_title(parameter, has_unit=len(data.parameters) <= _STACKED),
+        title=_title(parameter, has_unit=is_narrow),
         figures=".4g",
-        figure_width=_FIGURE_WIDTH,
+        figure_width=_STACKED_FIGURE if is_narrow else _SMALL_FIGURE,
     )
     log_iterates(stream, iterates, data.first_s)
     return iterates_view(iterates)
