@@ -45,6 +45,12 @@ _THIN = 0.002
 _MARGIN = 0.08
 """Around what moves, of its size."""
 
+_BEYOND = 0.3
+"""How far around what was observed the simulated model is still looked at, of its size."""
+
+_LOOKS = 60
+"""Moments that a camera is placed by."""
+
 _FLOOR_REACH = 0.8
 """Half the side of a plane without an end, of the scene's size."""
 
@@ -78,13 +84,19 @@ def log_scene(
     seconds, qpos = simulator.coordinates(row)
     start_ns = simulator.initial.stamp_ns
     moments = _moments(float(seconds[-1]), scene.model.nbody)
-    # The last pose before each moment: rotations cannot be interlaced number by number.
+    # The last pose before each moment: rotations cannot be mixed number by number.
     qpos = qpos[np.clip(np.searchsorted(seconds, moments, "right") - 1, 0, None)]
     at_s = moments + found.offset_s + (start_ns - found.connected.target.start_ns) * 1e-9
     simulated = _Motion(at_s, *scene.poses(qpos))
     seen, is_whole = _observed(scene.model, simulator.sensed, moments, start_ns, qpos)
     observed = None if seen is None else _Motion(at_s, *scene.poses(seen))
-    corners = _corners(scene, [simulated] if observed is None else [simulated, observed])
+    corners = _corners(scene, simulated)
+    if observed is not None:  # a simulated body that flies away is let go
+        seen_corners = _corners(scene, observed)
+        low, high = seen_corners.min(axis=0), seen_corners.max(axis=0)
+        beyond = _BEYOND * float(np.linalg.norm(high - low))
+        near = np.clip(corners, low - beyond, high + beyond)
+        corners = np.concatenate([seen_corners, near])
     size_m = max(float(np.linalg.norm(np.ptp(corners, axis=0))), 1e-3)
     stream.log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     _log_fixed(stream, scene, simulated, corners, size_m)
@@ -103,7 +115,7 @@ def log_scene(
 
 def _title(is_observed: bool, is_whole: bool) -> str:
     if not is_observed:
-        return "the tuned model"
+        return "the tuned model, dots: as observed"
     rest = "" if is_whole else ", the rest as simulated"
     return f"white: as observed{rest}; warm: the tuned model"
 
@@ -159,23 +171,19 @@ def _track(sensed: Sensed, column: str, moments: Array, start_ns: int) -> Array 
     return np.interp(moments, at_s, values[good])
 
 
-def _corners(scene: ModelScene, motions: Sequence[_Motion]) -> Array:
-    """Points around all shapes that move, at some moments, shape (P, 3)."""
+def _corners(scene: ModelScene, motion: _Motion) -> Array:
+    """Points around all shapes but planes, at some moments, shape (P, 3)."""
     signs = np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T
-    some = np.unique(np.linspace(0, len(motions[0].seconds) - 1, 60).round().astype(int))
+    some = np.unique(np.linspace(0, len(motion.seconds) - 1, _LOOKS).round().astype(int))
     found: list[Array] = []
     for shape in scene.shapes:
         if shape.kind == "plane":
             continue
         half = shape.size_m + ([0, 0, shape.size_m[0]] if shape.kind == "capsule" else 0)
         own = shape.position_m + signs * half @ shape.rotation.T
-        for motion in motions:
-            turned = own @ motion.rotations[some, shape.body].swapaxes(1, 2)
-            moved = turned + motion.positions_m[some, shape.body][:, None]
-            found.append(moved.reshape(-1, 3))
-    if not found:
-        return np.concatenate([one.positions_m[some].reshape(-1, 3) for one in motions])
-    return np.concatenate(found)
+        turned = own @ motion.rotations[some, shape.body].swapaxes(1, 2)
+        found.append((turned + motion.positions_m[some, shape.body][:, None]).reshape(-1, 3))
+    return np.concatenate(found) if found else motion.positions_m[some].reshape(-1, 3)
 
 
 def _azimuth_rad(points_m: Array) -> float:

@@ -13,21 +13,29 @@ from analysis.record import Tuning, record_of
 from analysis.review.tuning_review import write_review
 from analysis.selection import Options
 from analysis.sysid.review.review_data import simulator_review_data
-from analysis.sysid.source import GivenSimulator
+from analysis.sysid.source import GivenSimulator, ModelSource
 from analysis.tuning import tune_episode
 from recorders.simulators.base import Parameter
 from tests.analysis.drop.test_review import verified
 from tests.analysis.review.stored import Stored
 from tests.analysis.review.test_no_view_is_empty import empty_views
-from tests.analysis.sysid.pendulums import START_NS, model_source, pendulum_episode, swing
+from tests.analysis.sysid.pendulums import (
+    MODEL,
+    START_NS,
+    model_source,
+    pendulum_episode,
+    swing,
+)
+from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 
 
 @dataclass(frozen=True)
 class Spring:
-    """A cart on a spring, in closed form, with some more columns that it shows."""
+    """A cart on a spring in closed form, seen in some columns; a soft one breaks after a time."""
 
     columns: int = 1
+    breaks_s: float = 6.0
     engine = "spring"
     step_hz = 1000.0
     parameters = (
@@ -41,6 +49,7 @@ class Spring:
         turns = np.sqrt(max(stiffness - decay**2, 1e-6))
         x = np.exp(-decay * seconds) * np.cos(turns * seconds)
         scaled = x[:, None] * np.arange(1, self.columns + 1)
+        scaled[seconds > (6.0 if stiffness > 40 else self.breaks_s)] = np.nan
         names = tuple(f"x{number}" for number in range(self.columns))
         stamps = (START_NS + seconds * 1e9).astype(np.int64)
         signal = Signal("/cart/place", stamps, scaled, names, "m")
@@ -149,6 +158,65 @@ def test_many_columns_have_a_tab_of_their_own_and_a_bound(tmp_path: Path):
     assert varying == sorted(varying, reverse=True)
     review = reviewed(tuning, tmp_path)
     assert tabs(review)[1] == "other signals, 3 more are not drawn"
+
+
+@pytest.mark.parametrize("breaks_s", [3.0, -1.0])
+def test_guesses_that_diverge(tmp_path: Path, breaks_s: float):
+    simulator = Spring(breaks_s=breaks_s)
+    options = Options(source=GivenSimulator(simulator))
+    reviewed(tune_episode(simulator.recorded(), options), tmp_path)
+
+
+BALL = """
+<mujoco>
+  <option timestep="0.004"/>
+  <worldbody>
+    <geom type="plane" size="0 0 1"/>
+    <body name="ball" pos="0 0 1"><freejoint/><geom type="sphere" size=".05" mass=".1"/></body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def places_of(body: str, places: Array, seconds: Array) -> Episode:
+    noisy = places + 1e-3 * np.random.default_rng(0).standard_normal(places.shape)
+    stamps = (START_NS + seconds * 1e9).astype(np.int64)
+    signal = Signal(f"/{body}/pose", stamps, noisy, ("x", "y", "z"), "m")
+    return Episode(EpisodeInfo(), {signal.name: signal})
+
+
+def scene_of(tuning: Tuning, folder: Path) -> tuple[str, set[str]]:
+    """Title and entities of the scene."""
+    assert tuning.detection is not None, tuning.reason
+    review = reviewed(tuning, folder)
+    (scene,) = [view for view in review.views if view.kind == "3D"]
+    return scene.name, set(scene.entities)
+
+
+def test_a_free_body_is_where_it_was_seen(tmp_path: Path):
+    (tmp_path / "ball.xml").write_text(BALL)
+    source = ModelSource(tmp_path / "ball.xml", ("body/ball.mass=0.05:0.2",))
+    seconds = np.arange(0.0, 0.4, 0.01)
+    places = np.column_stack([0 * seconds, 0 * seconds, 1 - 9.81 * seconds**2 / 2])
+    tuning = tune_episode(places_of("ball", places, seconds), Options(source=source))
+    title, entities = scene_of(tuning, tmp_path)
+    assert title == "white: as observed, the rest as simulated; warm: the tuned model"
+    assert {"/scene/points/0", "/scene/observed/body_1/ellipsoid"} <= entities
+
+
+def test_a_point_of_a_robot_is_a_dot(tmp_path: Path):
+    tip, key = '<body name="tip" pos="0 0 -.4"/>', '<keyframe><key qpos="1.4"/></keyframe>'
+    text = MODEL.format(floor="", shapes=tip).replace("</mujoco>", f"{key}</mujoco>")
+    (tmp_path / "pendulum.xml").write_text(text)
+    source = ModelSource(tmp_path / "pendulum.xml", ("joint/hinge.damping=0:.2",))
+    seconds = np.arange(0.0, 4.0, 0.01)
+    angles = swing(seconds)[:, 0]
+    places = 0.4 * np.column_stack([np.sin(angles), 0 * angles, -np.cos(angles)])
+    tuning = tune_episode(places_of("tip", places, seconds), Options(source=source))
+    title, entities = scene_of(tuning, tmp_path)
+    assert title == "the tuned model, dots: as observed"
+    assert "/scene/points/0" in entities
+    assert not any(one.startswith("/scene/observed") for one in entities)
 
 
 def test_a_log_that_shows_nothing_of_it_has_no_curves_to_compare(tmp_path: Path):
