@@ -152,6 +152,9 @@ _FIGURE_WIDTH = 0.62
 _FIGURE_RISE = 0.2
 """Chart heights from a dot up to the place that its figure hangs from."""
 
+_MOST_RISEN = 1.6
+"""Times that, in a chart whose figures are wide."""
+
 _LEAST_BAND = 0.008
 """Chart heights: a narrower interval would not be seen."""
 
@@ -249,6 +252,10 @@ class Iterates:
         colors: of the iterations.
         span: least and greatest value that the chart shows.
         interval95: of the result; None where none is honest.
+        chart: name of the chart that shows them.
+        title: of the chart; "" for the parameter's.
+        figures: how its numbers are written.
+        figure_width: what a number takes up across, in heights of the chart.
     """
 
     parameter: str
@@ -258,6 +265,10 @@ class Iterates:
     colors: tuple[Color, ...]
     span: tuple[float, float]
     interval95: tuple[float, float] | None
+    chart: str = "convergence"
+    title: str = ""
+    figures: str = ".4f"
+    figure_width: float = _FIGURE_WIDTH
 
 
 def span_of(values: Sequence[float], least: float) -> tuple[float, float]:
@@ -272,18 +283,20 @@ def log_iterates(stream: rr.RecordingStream, iterates: Iterates, first_s: float)
     """Send the entities of `iterates_view`; the log's time begins at `first_s`."""
     low, high = iterates.span
     count = len(iterates.values)
+    sheet, wide = f"sheets/{iterates.chart}", iterates.figure_width
+    rise = _FIGURE_RISE * min(wide / _FIGURE_WIDTH, _MOST_RISEN)
 
     def y(value: float) -> float:
         return -(value - low) / (high - low)
 
-    margin = max(WIDTH / (2 * count), _FIGURE_WIDTH / 2)
+    margin = max(WIDTH / (2 * count), wide / 2)
     x = np.linspace(margin, WIDTH - margin, count)
     dots = np.column_stack([x, [y(value) for value in iterates.values]])
-    every = math.ceil(_FIGURE_WIDTH * (count - 1) / (WIDTH - 2 * margin)) if count > 1 else 1
+    every = math.ceil(wide * (count - 1) / (WIDTH - 2 * margin)) if count > 1 else 1
     labelled = range(count - 1, -1, -every)  # backwards, so that the result is among them
     rows = [(y(value), f"{value:g}") for value in ticks(low, high, 2)]
     marks = [(float(x[k]), iterates.names[k]) for k in labelled]
-    log_grid(stream, "sheets/convergence", WIDTH, rows, marks)
+    log_grid(stream, sheet, WIDTH, rows, marks)
     if iterates.interval95 is not None:
         ends = [y(end) for end in iterates.interval95]
         half = max(ends[0] - ends[1], _LEAST_BAND) / 2
@@ -291,27 +304,28 @@ def log_iterates(stream: rr.RecordingStream, iterates: Iterates, first_s: float)
         strips, radius = filled(0.0, WIDTH, middle - half, middle + half)
         color = mixed(iterates.colors[-1], _BAND)
         band = rr.LineStrips2D(strips, colors=[color], radii=[radius], draw_order=1.0)
-        stream.log("sheets/convergence/interval", band, static=True)
+        stream.log(f"{sheet}/interval", band, static=True)
     line = rr.LineStrips2D([dots], colors=[MUTED], radii=screen_radius(0.8))
-    stream.log("sheets/convergence/line", line, static=True)
+    stream.log(f"{sheet}/line", line, static=True)
     values = rr.Points2D(dots, colors=iterates.colors, radii=screen_radius(5.0), draw_order=20.0)
-    stream.log("sheets/convergence/values", values, static=True)
+    stream.log(f"{sheet}/values", values, static=True)
     figures = rr.Points2D(
-        [dots[k] - [0, _FIGURE_RISE] for k in labelled],
-        labels=[f"{iterates.values[k]:.4f}" for k in labelled],
+        [dots[k] - [0, rise] for k in labelled],
+        labels=[f"{iterates.values[k]:{iterates.figures}}" for k in labelled],
         colors=[iterates.colors[k] for k in labelled],
         radii=screen_radius(0.1),
         show_labels=True,
     )
-    stream.log("sheets/convergence/figures", figures, static=True)
+    stream.log(f"{sheet}/figures", figures, static=True)
     ring = rr.Points2D.from_fields(colors=[OBSERVED], radii=screen_radius(8.0), draw_order=10.0)
-    stream.log("sheets/convergence/current", ring, static=True)
+    stream.log(f"{sheet}/current", ring, static=True)
     for index, shown in by_iteration(count, first_s):
         columns = rr.Points2D.columns(positions=dots[shown])
-        stream.send_columns("sheets/convergence/current", indexes=[index], columns=columns)
+        stream.send_columns(f"{sheet}/current", indexes=[index], columns=columns)
 
 
 def iterates_view(iterates: Iterates) -> rrb.View:
     """The parameter by iteration, the current one ringed, the result's interval as a band."""
-    title = f"{quantity(iterates.parameter, iterates.unit)} by iteration"
-    return chart_view("convergence", title + (", band: 95 %" if iterates.interval95 else ""))
+    words = f"{quantity(iterates.parameter, iterates.unit)} by iteration"
+    title = iterates.title or words
+    return chart_view(iterates.chart, title + (", band: 95 %" if iterates.interval95 else ""))

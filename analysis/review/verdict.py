@@ -98,6 +98,6 @@ def _beside(record: Record) -> str:
         parts.append("failed: " + ", ".join(check.name for check in failed))
     elif record.reason:
         parts.append(record.reason.partition("; at the next")[0])
-    words = "   ".join(filter(None, parts))
+    words = "   ".join(filter(None, parts)).replace("·", " ").replace("²", "2")
     plain = words.encode("ascii", "replace").decode()
     return plain if len(plain) <= _MOST_LETTERS else plain[: _MOST_LETTERS - 3] + "..."

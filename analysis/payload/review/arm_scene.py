@@ -10,6 +10,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from analysis.payload.review.review_data import PayloadReviewData
+from analysis.review.camera import eye_controls
 from analysis.review.drawing import MUTED, at_seconds, screen_radius
 from recorders.simulators.arm.description import Arm
 from recorders.simulators.arm.path import LinkPoses, link_poses
@@ -49,11 +50,8 @@ _TRAIL_S = 1.0
 _LABEL = 0.055
 """Of the mass above the ball, in reaches."""
 
-_UP_RAD, _ASIDE_RAD = 0.35, 0.85
-"""Of the camera, from the level and from the path's front: links hide each other less."""
-
-_TAN_ACROSS, _TAN_UP = 0.36, 0.5
-"""Tangents of half of what the camera sees."""
+_ASIDE_RAD = 0.85
+"""Of the camera, from the path's front: links hide each other less."""
 
 _MARGIN = 0.04
 """Around the arm and its payload, in reaches."""
@@ -105,7 +103,6 @@ def log_arm(stream: rr.RecordingStream, data: PayloadReviewData) -> rrb.View:
 def _view(poses: LinkPoses, margin_m: float) -> rrb.View:
     """The camera stands where the path is seen from its front, and all of the arm fits."""
     points = poses.position_m.reshape(-1, 3)
-    middle = (points.min(axis=0) + points.max(axis=0)) / 2
     # Along the normal of the plane that the tool moves in, turned aside and up.
     tool = poses.position_m[:, -1]
     outward = tool.mean(axis=0)[:2]
@@ -116,25 +113,13 @@ def _view(poses: LinkPoses, margin_m: float) -> rrb.View:
         flat = np.array([outward[1], -outward[0]]) if reaches else np.array([0.0, -1.0])
     if flat @ outward < 0:
         flat = -flat
-    azimuth = math.atan2(flat[1], flat[0]) + _ASIDE_RAD
-    level = math.cos(_UP_RAD)
-    towards = np.array([level * math.cos(azimuth), level * math.sin(azimuth), math.sin(_UP_RAD)])
-    right = np.cross([0.0, 0.0, 1.0], towards)
-    right /= np.linalg.norm(right)
-    off = points - middle
-    distances_m = [
-        (np.abs(off @ across) + margin_m) / half + off @ towards
-        for across, half in ((right, _TAN_ACROSS), (np.cross(towards, right), _TAN_UP))
-    ]
-    eye = middle + float(np.max(distances_m)) * towards
+    azimuth_rad = math.atan2(flat[1], flat[0]) + _ASIDE_RAD
     return rrb.Spatial3DView(
         origin="/scene",
         name="the arm along its measured path",
         background=_GROUND,
         line_grid=False,
-        eye_controls=rrb.EyeControls3D(
-            position=eye.tolist(), look_target=middle.tolist(), eye_up=(0.0, 0.0, 1.0)
-        ),
+        eye_controls=eye_controls(points, azimuth_rad, margin_m),
     )
 
 

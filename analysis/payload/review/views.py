@@ -24,9 +24,9 @@ from analysis.record import Tuning
 from analysis.review.drawing import (
     ITERATION,
     LOG_TIME,
-    MUTED,
     OBSERVED,
     WIDTH,
+    Color,
     Iterates,
     by_iteration,
     chart_view,
@@ -39,6 +39,7 @@ from analysis.review.drawing import (
     ticked,
     ticks,
 )
+from analysis.review.key import KEY_SHARES, log_key
 from recorders.simulators.arm.payload import PAYLOAD_MASS
 from tunenet_logs.arrays import Array
 
@@ -60,9 +61,6 @@ make noise look like torque."""
 
 _ROOM = 0.05
 """Above and below the curves of a sheet, of what they span."""
-
-_KEY_LINE = 0.3
-"""Length of a line in the key, of what an entry takes up."""
 
 _ONE_COLUMN = 3
 """Joints whose charts lie one over the other; more take two columns."""
@@ -92,7 +90,7 @@ def log_payload(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
     terms = log_terms(stream, data)
     overlay = rrb.Horizontal(
         arm,
-        rrb.Vertical(key, rrb.Grid(*torques[:_PLAYED], grid_columns=2), row_shares=[0.6, 8]),
+        rrb.Vertical(key, rrb.Grid(*torques[:_PLAYED], grid_columns=2), row_shares=KEY_SHARES),
         rrb.TextDocumentView(origin="/result", name="result"),
         column_shares=[3.6, 6, 4.6],
         name=f"overlay (timeline {LOG_TIME})",
@@ -166,35 +164,12 @@ def _plot(entity: str, title: str, low: float, high: float) -> rrb.View:
 
 
 def _log_key(stream: rr.RecordingStream, data: PayloadReviewData) -> rrb.View:
-    """A strip above the curves that says what they are, where it hides none of them."""
-    entries = [("observed", [OBSERVED])]
+    """What the curves are."""
+    entries: list[tuple[str, list[Color]]] = [("observed", [OBSERVED])]
     entries.append(("rigid arm, by iteration", [curve.color for curve in data.simulated]))
     if data.fitted is not None:
         entries.append((data.fitted.label, [data.fitted.color]))
-    strips, colors, labels = [], [], []
-    for entry, (text, line_colors) in enumerate(entries):
-        width = _KEY_LINE / len(line_colors)
-        for number, color in enumerate(line_colors):
-            begin = entry - _KEY_LINE / 2 + number * width
-            strips.append([[begin, 0.0], [begin + width, 0.0]])
-            colors.append(color)
-        labels.append(([float(entry), 0.02], text))
-    lines = rr.LineStrips2D(strips, colors=colors, radii=screen_radius(2.0))
-    stream.log("key/lines", lines, static=True)
-    words = rr.Points2D(
-        [position for position, _ in labels],
-        labels=[text for _, text in labels],
-        colors=[MUTED],
-        radii=screen_radius(0.1),
-        show_labels=True,
-    )
-    stream.log("key/words", words, static=True)
-    return rrb.Spatial2DView(
-        origin="/key",
-        name="key",
-        titlebar=False,
-        visual_bounds=rrb.VisualBounds2D(x_range=(-0.5, len(entries) - 0.5), y_range=(-0.06, 0.18)),
-    )
+    return log_key(stream, entries)
 
 
 def _log_lines(

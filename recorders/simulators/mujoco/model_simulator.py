@@ -152,6 +152,20 @@ class ModelSimulator:
             found += self._batch(values[first : first + count])
         return found
 
+    def coordinates(self, values: Array) -> tuple[Array, Array]:
+        """How a rollout at `values` of shape (P,) moves, step by step.
+
+        Returns:
+            Seconds since the initial stamp, shape (T,); qpos then, shape (T, nq), which stays as it
+            is where the rollout diverges.
+        """
+        begins, reached, _, good = self._rolled(values[None])
+        count = int(good.sum())
+        states = np.concatenate([begins, reached[0, :count]])
+        seconds = self._model.opt.timestep * np.arange(self._steps + 1)
+        qpos = states[:, 1 : 1 + self._model.nq]
+        return seconds, qpos[np.minimum(np.arange(self._steps + 1), count)]
+
     @cached_property
     def _model(self) -> Any:
         """The compiled model, with sensors of what is compared alone."""
@@ -200,6 +214,12 @@ class ModelSimulator:
         return mujoco().mj_stateSize(self._model, mujoco().mjtState.mjSTATE_FULLPHYSICS)
 
     def _batch(self, values: Array) -> list[Episode]:
+        _, _, sensed, good = self._rolled(values)
+        sensed[~good] = np.nan
+        return [self._episode(seen, row) for seen, row in zip(sensed, values, strict=True)]
+
+    def _rolled(self, values: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+        """States before and after the steps, sensors, and which steps are before it diverges."""
         library = mujoco()
         from mujoco import rollout
 
@@ -223,12 +243,9 @@ class ModelSimulator:
         reached, sensed = (np.asarray(one, np.float64) for one in found)
         step_s = self._model.opt.timestep
         expected_s = step_s * np.arange(1, self._steps + 1)
-        episodes: list[Episode] = []
-        for row, times, seen in zip(values, reached[:, :, 0], sensed, strict=True):
-            kept = np.isclose(times, expected_s, rtol=0, atol=step_s / 2)
-            seen[~np.logical_and.accumulate(kept)] = np.nan
-            episodes.append(self._episode(seen, row))
-        return episodes
+        reached, sensed = np.asarray(reached), np.asarray(sensed)
+        kept = np.isclose(reached[:, :, 0], expected_s, rtol=0, atol=step_s / 2)
+        return states, reached, sensed, np.logical_and.accumulate(kept, axis=1)
 
     def _with(self, row: Array) -> Any:
         """A copy of the model with these values."""

@@ -1,0 +1,1 @@
+"""The review of a simulator that was tuned."""
