@@ -7,15 +7,18 @@ import numpy as np
 from analysis.checks import Check
 from analysis.sysid.advice import excitation
 from analysis.sysid.compared import Compared
-from analysis.sysid.fit import GOOD_SHARE, SimulatorFit
+from analysis.sysid.fit import SimulatorFit
 from recorders.simulators.base import Parameter
 from tunenet_logs.arrays import Array
 from tunenet_logs.terminal import listed
 
-_MOVES = 5.0
+_MOVES = 3.0
 """Times its noise that a column has to vary by, one at least."""
 
 _REJECT_SHARE = 0.5
+_GOOD_SHARE = 0.05
+"""Of a column's spread, that a simulator may leave."""
+
 _NOISES = 1.3
 """Times the noise that a column may keep where that is more than its share."""
 
@@ -49,7 +52,7 @@ def match_check(target: Compared, residuals: Array) -> Check:
     left = target.rms(residuals)
     share, worst = 0.0, target.columns[0]
     limits = [
-        max(_NOISES * column.noise, GOOD_SHARE * column.spread) / max(column.spread, 1e-12)
+        max(_NOISES * column.noise, _GOOD_SHARE * column.spread) / max(column.spread, 1e-12)
         for column in target.columns
     ]
     over = [

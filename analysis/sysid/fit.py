@@ -17,12 +17,18 @@ from tunenet_logs.arrays import Array
 _GOOD = 1.5
 """Times a column's noise: a solution that leaves less is not looked for elsewhere."""
 
-GOOD_SHARE = 0.05
+_CLOSE_SHARE = 0.01
 """Of a column's spread, likewise, where the noise is less than that."""
 
-_SCREENED, _RESTARTS = 24, 3
+_SCREENED, _RESTARTS = 24, 2
 _HELD_OUT_FROM = 0.6
 """Of the log: a second fit to what is before is judged by what comes after."""
+
+_TOGETHER = 40.0
+"""Times less sure than if all others were known: from there on it is seen with them alone."""
+
+_CONTRADICTS, _WALK_FACTOR, _MOST_WALKS = 4.0, 3.0, 8
+"""Of the cost, twice a log likelihood: two standard deviations; how a walk goes on until then."""
 
 _UNTOLD_SHARE = 0.25
 """Of a parameter's range: where 95 % reach further than this to each side, the log cannot tell."""
@@ -61,6 +67,7 @@ class SimulatorFit:
         step_shift: how far half the step moves each, shape (P,); None where there is no other step.
         held_out: None where the log is too short.
         correlation: of all values, shape (P, P).
+        inflation: how much less sure each value is than if all others were known, shape (P,).
     """
 
     target: Compared
@@ -74,12 +81,18 @@ class SimulatorFit:
     step_shift: Array | None
     held_out: HeldOut | None
     correlation: Array
+    inflation: Array
 
     @property
     def untold(self) -> tuple[Parameter, ...]:
-        """Tuned parameters that the log cannot tell within a quarter of their range."""
-        ranges = ranges_of(self.parameters)[: self.tuned]
-        wide = self.half95[: self.tuned] > _UNTOLD_SHARE * ranges
+        """Tuned parameters that the log cannot tell within a quarter of their range.
+
+        What is seen only together with others is told within a quarter of its value, or not.
+        """
+        own, half95 = slice(self.tuned), self.half95[: self.tuned]
+        wide = half95 > _UNTOLD_SHARE * ranges_of(self.parameters)[own]
+        values = np.abs(self.solution.values[own])
+        wide |= (self.inflation[own] > _TOGETHER) & (half95 > _UNTOLD_SHARE * values)
         return tuple(one for one, is_wide in zip(self.parameters, wide, strict=False) if is_wide)
 
 
@@ -111,9 +124,12 @@ def fit_simulator(
         solution = _from_elsewhere(steps, solution, tuned)
     cov, independent = covariance(solution, target, parameters)
     sd = np.sqrt(np.diag(cov))
+    correlation = cov / np.outer(sd, sd)
+    sd[:tuned] *= _walked(steps, solution, cov, tuned)
     shift = None
     if finer is not None:
         moved = finer(solution.values[None])[0] - (target.values + solution.residuals)
+        moved = np.where(np.isfinite(moved), moved, 0.0)
         shift = np.abs(_moved_by(moved, solution, target, parameters))
     wide = sd if shift is None else np.hypot(sd, shift)
     half95 = float(t.ppf(0.975, max(independent - len(sd), 3.0))) * wide
@@ -131,16 +147,44 @@ def fit_simulator(
         half95,
         shift,
         _held_out(run, target, parameters, solution, first),
-        cov / np.outer(sd, sd),
+        correlation,
+        steps.inflation(solution),
     )
     return FitResult(solution.values[:tuned], ends.T[:tuned], detail=detail, path=solution.path)
+
+
+def _walked(steps: GaussNewton, solution: Solution, cov: Array, tuned: int) -> Array:
+    """How much less sure each tuned parameter is than slopes say, a factor from 1 on, shape (T,).
+
+    Where parameters are seen only together, what slopes are off by looks like knowledge. So each is
+    moved, the others following, until the log contradicts.
+    """
+    ranges = ranges_of(steps.parameters)
+    factors = np.ones(tuned)
+    start = steps.cost(solution.residuals, solution.values, solution.noise)
+    for number in range(tuned):
+        along = cov[:, number] / cov[number, number]
+        curvature = steps.curvature(solution, along)
+        reach, seen = np.sqrt(_CONTRADICTS / curvature), 0.0
+        for _ in range(_MOST_WALKS):
+            reach = min(reach, ranges[number])
+            rises = [steps.follow(solution, number, side * reach, along) for side in (-1.0, 1.0)]
+            moved = [(cost - start, far) for cost, far in rises if far > reach / 2]
+            rise, far = min(moved, default=(0.0, reach))
+            seen = max(rise, 0.0) / far**2
+            if rise > _CONTRADICTS / 2 or reach >= ranges[number]:
+                break
+            reach *= _WALK_FACTOR
+        if seen < curvature / 2:
+            factors[number] = np.sqrt(curvature / max(seen, 1e-12 * curvature))
+    return factors
 
 
 def _is_good(solution: Solution, target: Compared) -> bool:
     """Whether every column is met about as well as its noise lets it."""
     left = target.rms(solution.residuals, solution.chosen)
     return all(
-        rms <= max(_GOOD * column.noise, GOOD_SHARE * column.spread)
+        rms <= max(_GOOD * column.noise, _CLOSE_SHARE * column.spread)
         for rms, column in zip(left, target.columns, strict=True)
     )
 

@@ -38,13 +38,16 @@ make rollouts rough where they are looked at more closely."""
 _NEAR = 0.5
 """Differences within which slopes stay as they are."""
 
+_FOLLOWED = 4
+"""Steps of all others where one parameter is moved."""
+
 _STILL, _NO_GAIN = 0.05, 0.05
 """Standard deviations, and a change of the cost, below which a step is the last."""
 
 _LOST = 3.0
 """Spreads of a column that a sample counts as off where a rollout has diverged."""
 
-_LEAST_NOISE = 1e-4
+_LEAST_NOISE = 1e-3
 """Of a column, as a share of its spread: a simulator is never weighed as more exact than this."""
 
 
@@ -104,8 +107,7 @@ class GaussNewton:
         ends = self.target.end_s if self.until_s is None else self.until_s
         self.chosen = self.target.seconds <= ends
         self._spread = np.array([column.spread for column in self.target.columns])
-        noise = np.array([column.noise for column in self.target.columns])
-        self._floor = np.maximum(np.maximum(noise, _LEAST_NOISE * self._spread), 1e-12)
+        self._floor = np.maximum(_LEAST_NOISE * self._spread, 1e-12)
         has_prior = self._precision > 0
         self._least = _LEAST_STEP * self._scales
         self._most = np.where(has_prior, 1.0, _MOST_STEP) * self._scales
@@ -130,8 +132,55 @@ class GaussNewton:
         fit = float(np.sum(scaled[self.chosen] ** 2))
         return fit + float(np.sum(self._precision * (values - self._centres) ** 2))
 
+    def curvature(self, solution: Solution, along: Array) -> float:
+        """How fast the cost should rise by its slopes: per square of a step along, shape (P,)."""
+        weights = self.chosen / self.target.per_value(solution.noise) ** 2
+        change = solution.slopes @ along
+        prior = float(np.sum(self._precision * along**2))
+        return max(float(np.sum(weights * change**2)) + prior, 1e-300)
+
+    def inflation(self, solution: Solution) -> Array:
+        """How much less sure each value is than if all others were known, shape (P,)."""
+        normal, _ = self._equations(
+            solution.values, solution.residuals, solution.slopes, solution.noise
+        )
+        return np.sqrt(np.diag(normal) * np.diag(np.linalg.inv(normal)))
+
+    def follow(
+        self, solution: Solution, number: int, step: float, along: Array
+    ) -> tuple[float, float]:
+        """The cost where one parameter is a step off and all others make the best of it.
+
+        Args:
+            solution: from where.
+            number: of the parameter.
+            step: how far it is off.
+            along: how the others follow, by its unit, shape (P,).
+
+        Returns:
+            The cost, and how far the parameter is off within its bounds.
+        """
+        values = np.clip(solution.values + step * along, *self._bounds)
+        others = np.arange(len(values)) != number
+        residuals = self.residuals(values[None])[0]
+        least = self.cost(residuals, values, solution.noise)
+        for _ in range(_FOLLOWED):
+            normal, slope = self._equations(values, residuals, solution.slopes, solution.noise)
+            step_by = np.zeros(len(values))
+            step_by[others] = -np.linalg.solve(normal[np.ix_(others, others)], slope[others])
+            tried = np.clip(values + step_by * self._scales, *self._bounds)
+            off = self.residuals(tried[None])[0]
+            cost = self.cost(off, tried, solution.noise)
+            if cost >= least:
+                break
+            gain = least - cost
+            values, residuals, least = tried, off, cost
+            if gain < _NO_GAIN:
+                break
+        return least, abs(float(values[number] - solution.values[number]))
+
     def left(self, residuals: Array) -> Array:
-        """What is left of each column, but no less than its noise, shape (C,)."""
+        """What is left of each column, shape (C,)."""
         return np.maximum(self.target.rms(residuals, self.chosen), self._floor)
 
     def coarse(self) -> Array:

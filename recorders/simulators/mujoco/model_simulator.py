@@ -280,7 +280,8 @@ class ModelSimulator:
             ),
             0.0,
         )
-        edges_s = step_s * np.arange(self._steps + 1)
+        # a step kicks speeds of half a step before to those of half a step after its begin
+        edges_s = step_s * (np.arange(self._steps + 1) - 0.5 * self._is_late)
         control = np.zeros((self._steps, model.nu + model.nv))
         for drive in self.drives:
             at_s: Array = (drive.signal.stamps_ns - self.initial.stamp_ns) * 1e-9
@@ -313,9 +314,7 @@ class ModelSimulator:
                 number = self._distinct.index((kind, name, 0))
                 track = seen[:, self._model.sensor_adr[number] + axis]
                 late_s = step_s / 2 if kind == "jointvel" and self._is_late else 0.0
-                values[:, place] = np.interp(
-                    wanted_s, at_s - late_s, track, left=np.nan, right=np.nan
-                )
+                values[:, place] = np.interp(wanted_s, at_s - late_s, track, right=np.nan)
             signal = sensed.signal
             signals[signal.name] = Signal(
                 signal.name, signal.stamps_ns, values, sensed.columns, signal.unit
