@@ -184,8 +184,13 @@ class GaussNewton:
         return np.maximum(self.target.rms(residuals, self.chosen), self._floor)
 
     def coarse(self) -> Array:
-        """What each column may be off far from the solution, shape (C,): alike in all of them."""
-        return np.maximum(self._floor, _COARSE_SHARE * self._spread)
+        """What each column may be off far from the solution, shape (C,): alike in all of them.
+
+        Those that jump, as a servo's efforts with each command, count less: whether their jumps
+        meet says nothing of how far off a delay is.
+        """
+        jumps = np.array([column.noise for column in self.target.columns])
+        return np.maximum(np.maximum(self._floor, _COARSE_SHARE * self._spread), jumps)
 
     def solve(self, start: Array) -> Solution:
         """Step from values of shape (P,) until steps are small beside what the noise allows.
