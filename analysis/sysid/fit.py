@@ -102,6 +102,7 @@ def fit_simulator(
     target: Compared,
     parameters: tuple[Parameter, ...],
     start: Array,
+    unresolved: Array | None = None,
 ) -> FitResult:
     """Fit all parameters to a log.
 
@@ -111,6 +112,7 @@ def fit_simulator(
         target: what they are compared with.
         parameters: P of them; those with a prior belong to the initial state.
         start: of those that are tuned, shape (T,), the first of the P.
+        unresolved: what the simulator's step leaves unsure of each, shape (P,); None for nothing.
 
     Returns:
         Of the T tuned ones; its detail is a `SimulatorFit`.
@@ -132,6 +134,7 @@ def fit_simulator(
         moved = np.where(np.isfinite(moved), moved, 0.0)
         shift = np.abs(_moved_by(moved, solution, target, parameters))
     wide = sd if shift is None else np.hypot(sd, shift)
+    wide = wide if unresolved is None else np.hypot(wide, unresolved)
     half95 = float(t.ppf(0.975, max(independent - len(sd), 3.0))) * wide
     low, high = np.array([one.bounds for one in parameters]).T
     ends = np.stack([solution.values - half95, solution.values + half95])

@@ -64,6 +64,7 @@ class SimulatorProblem(Problem):
             self._connected.target,
             self._all,
             start,
+            np.array([self._connected.unresolved.get(one.name, 0.0) for one in self._all]),
         )
         found: SimulatorFit = fit.detail
         self._rest = found.solution.values[len(start) :]

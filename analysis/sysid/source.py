@@ -19,6 +19,9 @@ from tunenet_logs.errors import UsageError
 if TYPE_CHECKING:
     from recorders.simulators.mujoco.model_parameters import ModelParameter
 
+_UNRESOLVED_STEPS = 0.2
+"""Of a delay, one standard deviation: a command that comes within a step is spread over it."""
+
 Rollouts = Callable[[Array], list[Episode]]
 """Values of all parameters, shape (N, P) -> N episodes."""
 
@@ -32,6 +35,7 @@ class Connected:
         target: what of the log is compared.
         rollouts: of it.
         finer: likewise with half the step; None where there is no such thing.
+        unresolved: what its step leaves unsure of a parameter, one standard deviation, by name.
         used: each signal of the log that is used, and as what, in words.
         unused: each that is not, and why.
     """
@@ -40,6 +44,7 @@ class Connected:
     target: Compared
     rollouts: Rollouts
     finer: Rollouts | None = None
+    unresolved: Mapping[str, float] = field(default_factory=dict)
     used: tuple[str, ...] = ()
     unused: tuple[str, ...] = ()
 
@@ -129,7 +134,7 @@ class GivenSimulator:
             for name in episode.signals
             if not any(column.signal == name for column in target.columns)
         )
-        return Connected(self.simulator, target, rollouts, None, used, unused)
+        return Connected(self.simulator, target, rollouts, used=used, unused=unused)
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,6 +205,7 @@ class ModelSource:
         """See `SimulatorSource`."""
         from analysis.sysid.initial_state import initial_state
         from analysis.sysid.topics import matched
+        from recorders.simulators.mujoco.model_parameters import DELAY
         from recorders.simulators.mujoco.model_simulator import ModelSimulator
 
         match = matched(episode, self.model, self.told)
@@ -216,6 +222,7 @@ class ModelSource:
             target,
             simulator.rollouts,
             simulator.finer().rollouts,
+            {DELAY: _UNRESOLVED_STEPS / simulator.step_hz},
             tuple(match.used),
             tuple(match.unused),
         )
