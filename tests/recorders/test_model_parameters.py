@@ -6,10 +6,10 @@ import math
 import re
 from typing import Any
 
-import mujoco
 import numpy as np
 import pytest
 
+from recorders.simulators.mujoco.library import mujoco as library
 from recorders.simulators.mujoco.model_fields import FIELDS
 from recorders.simulators.mujoco.model_parameters import (
     ModelParameter,
@@ -17,6 +17,8 @@ from recorders.simulators.mujoco.model_parameters import (
     model_parameters,
 )
 from tunenet_logs.errors import UsageError
+
+mujoco = library()
 
 MODEL = """<mujoco><option timestep="0.002" density="500" viscosity="1"/>
   <worldbody>
