@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
+from analysis.sysid.names import is_wanted, named_as, quantity_of, topic_of, words_of
 from recorders.simulators.mujoco.library import mujoco
 from recorders.simulators.mujoco.model_parameters import element_names
 from recorders.simulators.mujoco.model_simulator import Drive, Sensed, Sensor
@@ -17,11 +17,20 @@ from tunenet_logs.episode import Episode, Signal
 from tunenet_logs.errors import NotFoundError, UsageError
 from tunenet_logs.terminal import listed, short_name
 
-_COMMANDS = re.compile(r"command|cmd|target|desired|reference|setpoint|goal|trajectory", re.I)
-"""In a topic's name: what somebody wants, not what is."""
+_Kind = Literal["jointpos", "jointvel", "jointactuatorfrc"]
 
-_QUANTITIES = {"position": "jointpos", "velocity": "jointvel", "effort": "jointactuatorfrc"}
+_BY_QUANTITY: Mapping[str, _Kind] = {
+    "position": "jointpos",
+    "velocity": "jointvel",
+    "effort": "jointactuatorfrc",
+}
+_UNITS: Mapping[str, str] = {"rad/s": "velocity", "m/s": "velocity", "N·m": "effort", "N": "effort"}
+_PLACES = ("rad", "m", "1")
+"""Units of what a user says is a joint, where its name does not tell the quantity."""
+
 _FEW = 6
+_MANY_SIDED = (0, 1)
+"""Kinds of joints, free and ball, whose position is no number."""
 
 IGNORE = "-"
 """As a target of `--map`: the signal is left out."""
@@ -65,6 +74,7 @@ class _Matching:
         self._episode, self._model, self._told = episode, model, told
         self._names = {kind: element_names(model, kind) for kind in ("joint", "actuator", "body")}
         self._found = Match()
+        self._by_column: dict[tuple[str, str], list[str | None]] = {}
         self._check_told()
 
     def match(self) -> Match:
@@ -89,47 +99,60 @@ class _Matching:
 
     def _role(self, name: str, signal: Signal) -> str:
         """What a signal is: "states", "commands", "pose", "-" or ""."""
-        told = self._told.get(name) or self._told.get(_topic(name))
+        told = self._told.get(name) or self._told.get(topic_of(name))
         if told in ("commands", "states", IGNORE):
             return told
-        if told is not None and told.startswith("body/"):
-            return "pose"
-        if told is not None and told.startswith("actuator/"):
-            return "commands"
-        quantity = _quantity(name)
+        if told is not None:
+            return {"body": "pose", "actuator": "commands"}.get(told.partition("/")[0], "states")
+        quantity = quantity_of(name)
         if quantity or (signal.drives and signal.unit == "1"):
-            return "commands" if signal.drives or _COMMANDS.search(name) else "states"
+            return "commands" if signal.drives or is_wanted(topic_of(name)) else "states"
         if signal.columns == ("x", "y", "z") and signal.unit == "m":
             return "pose"
         return ""
 
     def _state(self, signal: Signal) -> None:
-        quantity = _quantity(signal.name)
-        kind = _QUANTITIES.get(quantity)
-        columns = [
-            (place, column, joint)
-            for place, column in enumerate(signal.columns)
-            if (joint := self._element("joint", signal.name, column)) is not None
-            and np.isfinite(signal.values[:, place]).sum() > 1
-        ]
-        if kind is None or not columns:
-            why = f"no joint of the model is called {listed(signal.columns, _FEW)}"
-            self._found.unused.append(f"{signal.name}: {why}")
+        kind = _BY_QUANTITY.get(_quantity(signal))
+        if kind is None:
+            self._found.unused.append(f"{signal.name}: [{signal.unit}] is nothing of joints")
             return
-        if quantity == "effort":
+        columns: list[tuple[int, str, str]] = []
+        reasons: dict[str, list[str]] = {}
+        for place, (column, joint) in enumerate(
+            zip(signal.columns, self._elements("joint", signal), strict=True)
+        ):
+            if why := self._why_not(signal, place, joint):
+                reasons.setdefault(why, []).append(column)
+            else:
+                assert joint is not None
+                columns.append((place, column, joint))
+        for why, names in reasons.items():
+            self._found.unused.append(f"{signal.name}: {listed(names, _FEW)}: {why}")
+        if not columns:
+            return
+        if kind == "jointactuatorfrc":
             self._efforts(signal, columns)
             return
         sensors = tuple(Sensor(kind, joint) for _, _, joint in columns)
         names = tuple(column for _, column, _ in columns)
         self._sense(Sensed(signal, names, sensors))
 
+    def _why_not(self, signal: Signal, place: int, joint: str | None) -> str:
+        """Why a column of states is no joint's; "" where it is one's."""
+        if self._told_of(signal, signal.columns[place]) == IGNORE:
+            return "left out by --map"
+        if joint is None:
+            return "no joint of the model is called so, or several are"
+        number = self._names["joint"].index(joint)
+        if self._model.jnt_type[number] in _MANY_SIDED:
+            return "that joint has no single position"
+        few = np.isfinite(signal.values[:, place]).sum() < 2
+        return "fewer than two samples" if few else ""
+
     def _efforts(self, signal: Signal, columns: list[tuple[int, str, str]]) -> None:
         """Measured efforts: what actuators give where commands drive them, else what drives."""
-        driven = {
-            int(self._model.actuator_trnid[target, 0])
-            for drive in self._found.drives
-            for target in drive.targets
-        }
+        targets = {int(one) for drive in self._found.drives for one in drive.targets}
+        driven = {self._joint_of(target) for target in targets}
         joints = [self._names["joint"].index(joint) for _, _, joint in columns]
         seen = [one for one, joint in zip(columns, joints, strict=True) if joint in driven]
         if seen:
@@ -147,12 +170,24 @@ class _Matching:
             self._found.used.append(f"{signal.name}: drives joints {listed(names, _FEW)}")
 
     def _command(self, signal: Signal) -> None:
-        quantity = _quantity(signal.name)
+        quantity = quantity_of(signal.name)
+        taken = {int(one) for drive in self._found.drives for one in drive.targets}
         pairs: list[tuple[int, int]] = []
+        again: list[str] = []
         for place, column in enumerate(signal.columns):
-            actuator = self._actuator(signal, column)
-            if actuator is not None and quantity in ("", self._wants(actuator)):
-                pairs.append((place, actuator))
+            actuator = self._actuator(signal, column, quantity)
+            if actuator is None or not np.isfinite(signal.values[:, place]).any():
+                continue
+            if actuator in taken:
+                again.append(column)
+                continue
+            taken.add(actuator)
+            pairs.append((place, actuator))
+        if again:
+            why = "another signal commands its actuator; leave one out with --map SIGNAL=-"
+            self._found.unused.append(f"{signal.name}: {listed(again, _FEW)}: {why}")
+        if not pairs and again:
+            return
         if not pairs:
             wanted = listed(
                 {
@@ -169,44 +204,58 @@ class _Matching:
         names = [self._names["actuator"][target] or str(target) for target in targets]
         self._found.used.append(f"{signal.name}: commands actuators {listed(names, _FEW)}")
 
-    def _actuator(self, signal: Signal, column: str) -> int | None:
+    def _actuator(self, signal: Signal, column: str, quantity: str) -> int | None:
         """The actuator of a column: of its name, of its joint's, or of its number."""
-        actuator = self._element("actuator", signal.name, column)
+        if self._told_of(signal, column) == IGNORE:
+            return None
+        place = signal.columns.index(column)
+        fits = ("", quantity) if quantity else ("", "position", "velocity", "effort")
+        actuator = self._elements("actuator", signal)[place]
         if actuator is not None:
-            return self._names["actuator"].index(actuator)
-        joint = self._element("joint", signal.name, column)
+            number = self._names["actuator"].index(actuator)
+            if self._wants(number) in fits:
+                return number
+        joint = self._elements("joint", signal)[place]
         if joint is not None:
-            number = self._names["joint"].index(joint)
-            kinds = mujoco().mjtTrn
+            joint_number = self._names["joint"].index(joint)
             for one in range(self._model.nu):
-                is_joint = self._model.actuator_trntype[one] in (
-                    kinds.mjTRN_JOINT,
-                    kinds.mjTRN_JOINTINPARENT,
-                )
-                if is_joint and self._model.actuator_trnid[one, 0] == number:
+                if self._joint_of(one) == joint_number and self._wants(one) in fits:
                     return one
-        if column.isdecimal() and len(signal.columns) == self._model.nu:
-            return int(column)
-        return None
+        by_order = not quantity and len(signal.columns) == self._model.nu
+        return place if by_order and column.isdecimal() else None
+
+    def _joint_of(self, actuator: int) -> int | None:
+        """The number of the joint that an actuator moves; None where it moves something else."""
+        kinds = mujoco().mjtTrn
+        moves = self._model.actuator_trntype[actuator]
+        is_joint = moves in (int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT))
+        return int(self._model.actuator_trnid[actuator, 0]) if is_joint else None
 
     def _wants(self, actuator: int) -> str:
         """What an actuator takes: "position", "velocity" or "effort"."""
         _, on_position, on_speed = self._model.actuator_biasprm[actuator, :3]
+        if self._model.actuator_dyntype[actuator] == int(mujoco().mjtDyn.mjDYN_INTEGRATOR):
+            return "velocity"
         if on_position:
             return "position"
         return "velocity" if on_speed else "effort"
 
     def _pose(self, signal: Signal) -> None:
-        told = self._told.get(signal.name, self._told.get(_topic(signal.name), ""))
+        told = self._told.get(signal.name, self._told.get(topic_of(signal.name), ""))
         body = told.removeprefix("body/") if told else None
         if body is None:
-            words = re.split(r"[/.@]", signal.name)
-            known = {_plain(name): name for name in self._names["body"][1:] if name}
-            body = next(
-                (known[_plain(word)] for word in reversed(words) if _plain(word) in known), None
-            )
+            found = (named_as(word, self._names["body"][1:]) for word in words_of(signal.name))
+            body = next((one for one in found if one is not None), None)
         if body is None:
             self._found.unused.append(f"{signal.name}: no body of the model is called so")
+            return
+        if signal.columns != ("x", "y", "z") or signal.unit != "m":
+            raise UsageError(
+                f"--map {short_name(signal.name)}=body/{short_name(body)}: is no position in m",
+                "map the topic of a pose, a point or a transform",
+            )
+        if np.isfinite(signal.values).all(axis=1).sum() < 2:
+            self._found.unused.append(f"{signal.name}: fewer than two samples")
             return
         sensors = tuple(Sensor("framepos", body, axis) for axis in range(3))
         self._sense(Sensed(signal, signal.columns, sensors), f"position of {body}")
@@ -216,24 +265,40 @@ class _Matching:
         what = what or f"{listed([one.name for one in sensed.sensors], _FEW)}"
         self._found.used.append(f"{sensed.signal.name}: compared with {what}")
 
-    def _element(self, kind: str, signal: str, column: str) -> str | None:
-        """The element that a column is, by what is told or by its name."""
-        for key in (f"{signal}.{column}", f"{_topic(signal)}.{column}", column):
-            told = self._told.get(key, "")
-            if told.startswith(f"{kind}/"):
-                return told.removeprefix(f"{kind}/")
-        names = self._names[kind]
-        if column in names:
-            return column
-        plain = {_plain(name): name for name in names if name}
-        return plain.get(_plain(column))
+    def _told_of(self, signal: Signal, column: str) -> str:
+        """What a user says of a column, or of a signal that has no other; "" where nothing."""
+        name = signal.name
+        keys = [f"{name}.{column}", f"{topic_of(name)}.{column}", column]
+        if len(signal.columns) == 1:
+            keys += [name, topic_of(name)]
+        return next((self._told[key] for key in keys if key in self._told), "")
+
+    def _elements(self, kind: str, signal: Signal) -> list[str | None]:
+        """The element that each column is, by what is told or by its name; each is once."""
+        if (kind, signal.name) not in self._by_column:
+            names = self._names[kind]
+            told = [self._told_of(signal, column) for column in signal.columns]
+            found: list[str | None] = []
+            for column, target in zip(signal.columns, told, strict=True):
+                if target.startswith(f"{kind}/"):
+                    found.append(target.removeprefix(f"{kind}/"))
+                else:
+                    found.append(column if column and column in names else None)
+            sure = {one for one in found if one is not None}
+            guesses = [named_as(column, names) for column in signal.columns]
+            for place, guess in enumerate(guesses):
+                is_free = found[place] is None and guess not in sure and guesses.count(guess) == 1
+                if is_free:
+                    found[place] = guess
+            self._by_column[kind, signal.name] = found
+        return self._by_column[kind, signal.name]
 
     def _check_told(self) -> None:
         signals = self._episode.signals
-        known = {*signals, *map(_topic, signals)}
+        known = {*signals, *map(topic_of, signals)}
         for name, signal in signals.items():
             for column in signal.columns:
-                known |= {f"{name}.{column}", f"{_topic(name)}.{column}", column}
+                known |= {f"{name}.{column}", f"{topic_of(name)}.{column}", column}
         for key, target in self._told.items():
             if key not in known:
                 near = get_close_matches(key, known, _FEW, 0.5) or sorted(known)
@@ -242,9 +307,15 @@ class _Matching:
                     f"there is: {listed(near, _FEW)}",
                 )
             kind, _, name = target.partition("/")
+            is_whole = key in signals or key in map(topic_of, signals)
+            if not is_whole and (target in ("commands", "states") or kind == "body"):
+                raise UsageError(
+                    f"--map {short_name(key)}={short_name(target)}: is one column alone",
+                    f"map its signal or topic, or {short_name(key)}=joint/NAME",
+                )
             if target in ("commands", "states", IGNORE):
                 continue
-            if kind not in self._names or name not in self._names[kind]:
+            if not name or name not in self._names.get(kind, ()):
                 known_names = [
                     f"{one}/{each}" for one, names in self._names.items() for each in names if each
                 ]
@@ -258,7 +329,7 @@ class _Matching:
         of_log: Iterable[str] = dict.fromkeys(
             column
             for name, signal in self._episode.signals.items()
-            if _quantity(name)
+            if quantity_of(name)
             for column in signal.columns
         )
         joints = listed(filter(None, self._names["joint"]), _FEW)
@@ -271,18 +342,7 @@ class _Matching:
         )
 
 
-def _topic(signal: str) -> str:
-    """The topic of a signal of joints."""
-    topic, _, last = signal.rpartition(".")
-    return topic if last in _QUANTITIES else signal
-
-
-def _quantity(signal: str) -> str:
-    """What of joints a signal is; "" where it is none."""
-    last = signal.rpartition(".")[2]
-    return last if last in _QUANTITIES else ""
-
-
-def _plain(name: str) -> str:
-    """A name without its prefix, case and marks: `robot/Elbow-Joint` and `elbow_joint` are one."""
-    return re.sub(r"[\W_]", "", name.rpartition("/")[2]).lower()
+def _quantity(signal: Signal) -> str:
+    """What of joints a signal is, by its name or its unit; "" where it is nothing of them."""
+    by_unit = "position" if signal.unit in _PLACES else _UNITS.get(signal.unit, "")
+    return quantity_of(signal.name) or by_unit

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any
@@ -17,6 +17,7 @@ import numpy as np
 
 from recorders.simulators.base import Parameter
 from recorders.simulators.mujoco.library import mujoco
+from recorders.simulators.mujoco.model_fields import FIELDS, SLIDING_UNITS, ModelField
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import UsageError
 from tunenet_logs.terminal import listed, short_name
@@ -25,80 +26,16 @@ DELAY = "delay/commands"
 """The address of what lies between a command and its effect; the simulator's, not the model's."""
 
 _ADDRESS = re.compile(
-    r"(?P<kind>[a-z]+)(?:/(?P<name>.+))?\.(?P<field>[a-z_]+)(?:\[(?P<index>\d{1,2})\])?"
+    r"(?P<kind>[a-z]+)(?:/(?P<name>.+))?\.(?P<field>[a-z_]+)(?:\[(?P<index>\d{1,9})\])?", re.DOTALL
 )
-_RANGE = re.compile(r"(?P<address>.+?)(?:=(?P<low>[^:=]+):(?P<high>[^:=]+))?")
+_RANGE = re.compile(r"(?P<address>.*?)(?:=(?P<low>[^:=]+):(?P<high>[^:=]+))?", re.DOTALL)
+_NO_RANGE = re.compile(r".+\.[a-z_]+(\[\d+\])?\s*=[^/\]]*", re.DOTALL)
+"""An address with something else than a range behind it."""
+
 _MOST_DELAY_S = 1.0
 _MOST_WORDS = 8
-
-
-@dataclass(frozen=True)
-class _Field:
-    """A quantity that elements of one kind have.
-
-    Attributes:
-        array: of the compiled model, by the element's number or that of its first degree of
-            freedom.
-        unit: of its values, in SI.
-        least: that physics allows.
-        size: values of one element; 1 for a number.
-        by_dof: whether the array is by degree of freedom.
-        usual: range where the model says 0; None where a user has to say one.
-    """
-
-    array: str
-    unit: str
-    least: float = 0.0
-    size: int = 1
-    by_dof: bool = False
-    usual: tuple[float, float] | None = None
-
-
-_ANY = -math.inf
-
-_FIELDS: Mapping[str, Mapping[str, _Field]] = {
-    "joint": {
-        "damping": _Field("dof_damping", "N·m·s/rad", by_dof=True),
-        "frictionloss": _Field("dof_frictionloss", "N·m", by_dof=True),
-        "armature": _Field("dof_armature", "kg·m²", by_dof=True),
-        "stiffness": _Field("jnt_stiffness", "N·m/rad"),
-        "springref": _Field("qpos_spring", "rad", _ANY),
-    },
-    "body": {
-        "mass": _Field("body_mass", "kg", 1e-6),
-        "ipos": _Field("body_ipos", "m", _ANY, 3),
-        "inertia": _Field("body_inertia", "kg·m²", 1e-9, 3),
-    },
-    "geom": {
-        "friction": _Field("geom_friction", "1", 0.0, 3, usual=(0.0, 1.5)),
-        "solref": _Field("geom_solref", "1", _ANY, 2),
-        "solimp": _Field("geom_solimp", "1", 0.0, 5),
-    },
-    "actuator": {
-        "kp": _Field("actuator_gainprm", "1"),
-        "kv": _Field("actuator_biasprm", "1"),
-        "gear": _Field("actuator_gear", "1", _ANY, 6),
-    },
-    "tendon": {
-        "damping": _Field("tendon_damping", "N·s/m"),
-        "frictionloss": _Field("tendon_frictionloss", "N"),
-        "stiffness": _Field("tendon_stiffness", "N/m"),
-    },
-    "option": {
-        "gravity": _Field("gravity", "m/s²", _ANY, 3),
-        "density": _Field("density", "kg/m³"),
-        "viscosity": _Field("viscosity", "Pa·s"),
-    },
-}
-
-_SLIDING_UNITS = {
-    "N·m·s/rad": "N·s/m",
-    "N·m": "N",
-    "kg·m²": "kg",
-    "N·m/rad": "N/m",
-    "rad": "m",
-}
-"""Of a joint that slides, in place of those of one that turns."""
+_MANY_SIDED = (0, 1)
+"""Kinds of joints, free and ball, whose position is no number (mjJNT_FREE, mjJNT_BALL)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,8 +65,8 @@ def model_parameters(model: Any, wanted: Iterable[str]) -> tuple[ModelParameter,
     names = [one.parameter.name for one in found]
     for name in names:
         if names.count(name) > 1:
-            raise UsageError(f"--tune {short_name(name)} is named twice; leave one out")
-    return tuple(found)
+            raise UsageError(f"--tune {short_name(name)} is named twice", "leave one out")
+    return tuple(sorted(found, key=lambda one: one.field == "inertia"))  # masses scale inertias
 
 
 def _model_parameter(model: Any, text: str) -> ModelParameter:
@@ -143,20 +80,22 @@ def _model_parameter(model: Any, text: str) -> ModelParameter:
         _check_inside(text, delay)
         return ModelParameter(delay, _nothing, "delay", DELAY)
     parts = _ADDRESS.fullmatch(address)
-    if parts is None or parts["kind"] not in _FIELDS:
-        kinds = ", ".join(_FIELDS)
+    if parts is None and _NO_RANGE.fullmatch(address):
+        raise UsageError(f"--tune {short_name(text)}: the range is no LOW:HIGH", "such as =0:5")
+    if parts is None or parts["kind"] not in FIELDS:
+        kinds = ", ".join(FIELDS)
         raise UsageError(
             f"--tune {short_name(text)} names no parameter",
             f"write KIND/NAME.FIELD with one of {kinds}, such as joint/elbow.damping=0:5, or "
             f"{DELAY}",
         )
     kind, field_name = parts["kind"], parts["field"]
-    if field_name not in _FIELDS[kind]:
+    if field_name not in FIELDS[kind]:
         raise UsageError(
             f"--tune {short_name(text)}: a {kind} has no {short_name(field_name)}",
-            f"there is: {', '.join(_FIELDS[kind])}",
+            f"there is: {', '.join(FIELDS[kind])}",
         )
-    field = _FIELDS[kind][field_name]
+    field = FIELDS[kind][field_name]
     number = _number(model, kind, parts["name"], text)
     index = int(parts["index"] or 0)
     if index >= field.size or (parts["index"] is None and field.size > 1):
@@ -165,17 +104,18 @@ def _model_parameter(model: Any, text: str) -> ModelParameter:
         remedy += f" to {field_name}[{last}]" if field.size > 1 else ""
         what = f"--tune {short_name(text)}: {field_name} has {field.size} numbers"
         raise UsageError(what if field.size > 1 else f"{what[:-1]}", remedy)
+    _check_matters(model, kind, field_name, number, text)
     place = _place(model, kind, field_name, field, number, index)
+    owner = kind if parts["name"] is None else f"{kind}/{parts['name']}"
+    address = f"{owner}.{field_name}" + (f"[{index}]" if field.size > 1 else "")
     unit = field.unit
     if kind == "joint" and model.jnt_type[number] == mujoco().mjtJoint.mjJNT_SLIDE:
-        unit = _SLIDING_UNITS.get(unit, unit)
+        unit = SLIDING_UNITS.get(unit, unit)
     now = float(place.get(model))
-    low, high = _range(text, match) or _usual_range(text, field, now)
-    most = 1e9
-    bounds = (max(field.least, -most), most)
+    bounds = field.bounds(index)
+    low, high = _range(text, match) or _usual_range(text, field, now, bounds)
     parameter = Parameter(address, unit, bounds, (low, high), min(max(now, low), high))
     _check_inside(text, parameter)
-    owner = kind if parts["name"] is None else f"{kind}/{parts['name']}"
     return ModelParameter(parameter, place.put, field_name, owner)
 
 
@@ -183,7 +123,9 @@ def _number(model: Any, kind: str, name: str | None, text: str) -> int:
     """Of the element in the model; 0 of the options, which are there once."""
     if kind == "option":
         if name is not None:
-            raise UsageError(f"--tune {short_name(text)}: the options have no name; write option.")
+            raise UsageError(
+                f"--tune {short_name(text)}: the options have no name", "write option.gravity[2]"
+            )
         return 0
     names = element_names(model, kind)
     if name not in names:
@@ -218,12 +160,12 @@ class _Place:
 
 
 def _place(
-    model: Any, kind: str, field_name: str, field: _Field, number: int, index: int
+    model: Any, kind: str, field_name: str, field: ModelField, number: int, index: int
 ) -> _Place:
     if kind == "option":
         return _option_place(field, index)
     if kind == "actuator" and field_name in ("kp", "kv"):
-        return _servo_place(field_name, number)
+        return _servo_place(model, field_name, number)
     if field_name == "mass":
         return _Place(lambda one: one.body_mass[number], _mass_put(number))
     rows = slice(number, number + 1)
@@ -250,7 +192,7 @@ def _dofs(model: Any, joint: int) -> slice:
     return slice(first, first + len(joints_of))
 
 
-def _option_place(field: _Field, index: int) -> _Place:
+def _option_place(field: ModelField, index: int) -> _Place:
     def get(one: Any) -> float:
         return float(np.atleast_1d(getattr(one.opt, field.array))[index])
 
@@ -263,8 +205,10 @@ def _option_place(field: _Field, index: int) -> _Place:
     return _Place(get, put)
 
 
-def _servo_place(field_name: str, number: int) -> _Place:
+def _servo_place(model: Any, field_name: str, number: int) -> _Place:
     """A servo's gain on position (kp) or damping on speed (kv), in its gain and its bias."""
+    _, on_position, on_speed = model.actuator_biasprm[number, :3]
+    is_of_speed = bool(on_speed and not on_position)
 
     def get(one: Any) -> float:
         if field_name == "kp":
@@ -274,14 +218,49 @@ def _servo_place(field_name: str, number: int) -> _Place:
     def put(one: Any, value: float) -> None:
         if field_name == "kp":
             one.actuator_gainprm[number, 0] = value
-            if one.actuator_biasprm[number, 1]:
+            if on_position:
                 one.actuator_biasprm[number, 1] = -value
         else:
-            if not one.actuator_biasprm[number, 1] and one.actuator_biasprm[number, 2]:
-                one.actuator_gainprm[number, 0] = value  # a servo of speed alone
+            if is_of_speed:
+                one.actuator_gainprm[number, 0] = value
             one.actuator_biasprm[number, 2] = -value
 
     return _Place(get, put)
+
+
+def _check_matters(model: Any, kind: str, field_name: str, number: int, text: str) -> None:
+    """Whether anything depends on the field of this element.
+
+    Raises:
+        UsageError: nothing does, or MuJoCo cannot change it.
+    """
+    why = remedy = ""
+    if kind == "body" and model.body_weldid[number] == 0:
+        why, remedy = "that body cannot move", "name one with a joint, or of one with a joint"
+    elif field_name == "ipos" and model.body_simple[number]:
+        why = "MuJoCo compiles that body as a simple one"
+        remedy = 'write simple="false" at it in the model'
+    elif kind == "geom" and not (model.geom_contype[number] or model.geom_conaffinity[number]):
+        why, remedy = "that geom touches nothing", "name one with a contype or a conaffinity"
+    elif field_name == "springref" and model.jnt_type[number] in _MANY_SIDED:
+        why, remedy = "that joint has no single position", "name one that slides or turns"
+    elif field_name in ("kp", "kv"):
+        why, remedy = _no_servo(model, field_name, number)
+    if why:
+        raise UsageError(f"--tune {short_name(text)}: {why}", remedy)
+
+
+def _no_servo(model: Any, field_name: str, number: int) -> tuple[str, str]:
+    """Why an actuator has no such gain, and what to do; two empty texts where it has one."""
+    library = mujoco()
+    _, on_position, on_speed = model.actuator_biasprm[number, :3]
+    has_gain = model.actuator_gaintype[number] == library.mjtGain.mjGAIN_FIXED
+    has_bias = model.actuator_biastype[number] == library.mjtBias.mjBIAS_AFFINE
+    if field_name == "kp" and has_gain and has_bias and on_speed and not on_position:
+        return "that actuator holds a speed and has no kp", "write kv"
+    if not has_gain or (field_name == "kv" and not has_bias):
+        return f"that actuator has no {field_name}", "name a position or velocity actuator"
+    return "", ""
 
 
 def _mass_put(number: int) -> Callable[[Any, float], None]:
@@ -308,7 +287,9 @@ def _range(text: str, match: re.Match[str]) -> tuple[float, float] | None:
     return low, high
 
 
-def _usual_range(text: str, field: _Field, now: float) -> tuple[float, float]:
+def _usual_range(
+    text: str, field: ModelField, now: float, bounds: tuple[float, float]
+) -> tuple[float, float]:
     """Where to look for a parameter of which the model alone says what it may be."""
     if field.usual is not None and field.usual[0] <= now <= field.usual[1]:
         return field.usual
@@ -318,7 +299,7 @@ def _usual_range(text: str, field: _Field, now: float) -> tuple[float, float]:
             "add it, such as =0:1",
         )
     ends = (now / 5, now * 5) if now > 0 else (now * 5, now / 5)
-    return (max(ends[0], field.least), ends[1])
+    return (max(ends[0], bounds[0]), min(ends[1], bounds[1]))
 
 
 def _check_inside(text: str, parameter: Parameter) -> None:

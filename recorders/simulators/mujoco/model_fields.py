@@ -1,0 +1,95 @@
+"""What of a MuJoCo model can be tuned: the fields of its elements, by kind."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+_Limits = tuple[float, float]
+
+_MOST = 1e9
+"""Of any value."""
+
+
+@dataclass(frozen=True)
+class ModelField:
+    """A quantity that elements of one kind have.
+
+    Attributes:
+        array: of the compiled model, by the element's number or that of its first degree of
+            freedom.
+        unit: of its values, in SI.
+        least: that physics allows.
+        size: values of one element; 1 for a number.
+        by_dof: whether the array is by degree of freedom.
+        usual: where to look, if the model's value is there; else a fifth to five times that.
+        within: smallest and largest value by index, where not all of them have the same.
+    """
+
+    array: str
+    unit: str
+    least: float = 0.0
+    size: int = 1
+    by_dof: bool = False
+    usual: _Limits | None = None
+    within: Mapping[int, tuple[float, float]] = field(
+        default_factory=dict[int, tuple[float, float]]
+    )
+
+    def bounds(self, index: int) -> _Limits:
+        """Of the value with an index."""
+        return self.within.get(index, (max(self.least, -_MOST), _MOST))
+
+
+_ANY = -math.inf
+
+FIELDS: Mapping[str, Mapping[str, ModelField]] = {
+    "joint": {
+        "damping": ModelField("dof_damping", "N·m·s/rad", by_dof=True),
+        "frictionloss": ModelField("dof_frictionloss", "N·m", by_dof=True),
+        "armature": ModelField("dof_armature", "kg·m²", by_dof=True),
+        "stiffness": ModelField("jnt_stiffness", "N·m/rad"),
+        "springref": ModelField("qpos_spring", "rad", _ANY),
+    },
+    "body": {
+        "mass": ModelField("body_mass", "kg", 1e-6),
+        "ipos": ModelField("body_ipos", "m", _ANY, 3),
+        "inertia": ModelField("body_inertia", "kg·m²", 1e-9, 3),
+    },
+    "geom": {
+        "friction": ModelField("geom_friction", "1", 0.0, 3, usual=(0.0, 1.5)),
+        "solref": ModelField("geom_solref", "1", _ANY, 2),
+        "solimp": ModelField(
+            "geom_solimp",
+            "1",
+            0.0,
+            5,
+            within={0: (0.0, 1.0), 1: (0.0, 1.0), 3: (0.0, 1.0), 4: (1.0, 100.0)},
+        ),
+    },
+    "actuator": {
+        "kp": ModelField("actuator_gainprm", "1"),
+        "kv": ModelField("actuator_biasprm", "1"),
+        "gear": ModelField("actuator_gear", "1", _ANY, 6),
+    },
+    "tendon": {
+        "damping": ModelField("tendon_damping", "N·s/m"),
+        "frictionloss": ModelField("tendon_frictionloss", "N"),
+        "stiffness": ModelField("tendon_stiffness", "N/m"),
+    },
+    "option": {
+        "gravity": ModelField("gravity", "m/s²", _ANY, 3),
+        "density": ModelField("density", "kg/m³"),
+        "viscosity": ModelField("viscosity", "Pa·s"),
+    },
+}
+
+SLIDING_UNITS = {
+    "N·m·s/rad": "N·s/m",
+    "N·m": "N",
+    "kg·m²": "kg",
+    "N·m/rad": "N/m",
+    "rad": "m",
+}
+"""Of a joint that slides, in place of those of one that turns."""

@@ -1,0 +1,331 @@
+"""Which of a log's signals are what of a model, by names that seldom are the same."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+
+from analysis.sysid.compared import compared
+from analysis.sysid.initial_state import initial_state
+from analysis.sysid.topics import Match, matched
+from recorders.simulators.mujoco.library import mujoco
+from recorders.simulators.mujoco.model_simulator import ModelSimulator
+from tunenet_logs.episode import Episode, EpisodeInfo, Signal
+from tunenet_logs.errors import NotFoundError, UsageError
+
+PARTS = """<worldbody>
+  <body name="upper"><joint name="shoulder" axis="0 1 0"/><geom size=".1" pos=".3 0 0"/>
+    <body name="lower" pos=".5 0 0"><joint name="elbow" axis="0 1 0"/>
+      <geom size=".1" pos=".2 0 0"/></body></body>
+  <body name="block.1"><freejoint name="block"/><geom size=".1"/></body>
+</worldbody>"""
+SERVOS = """<actuator><motor name="torque" joint="elbow"/>
+  <position name="servo" joint="elbow" kp="9"/><velocity joint="shoulder" kv="2"/></actuator>"""
+START_NS, STEP_NS = 1_700_000_000_000_000_000, 10_000_000
+
+
+def model_of(parts: str = PARTS, more: str = SERVOS) -> Any:
+    return mujoco().MjModel.from_xml_string(f"<mujoco>{parts}{more}</mujoco>")
+
+
+def signal(
+    name: str,
+    columns: Sequence[str] = ("shoulder", "elbow"),
+    unit: str = "rad",
+    *,
+    values: Any = None,
+    drives: bool = False,
+) -> Signal:
+    if values is None:
+        values = np.random.default_rng(0).normal(size=(50, len(columns))) * 0.01
+    stamps_ns = START_NS + STEP_NS * np.arange(len(values))
+    return Signal(name, stamps_ns, np.asarray(values, float), tuple(columns), unit, drives=drives)
+
+
+STATES = signal("/joint_states.position")
+
+
+def match(*signals: Signal, told: Mapping[str, str] | None = None, model: Any = None) -> Match:
+    log = Episode(EpisodeInfo(), {one.name: one for one in signals})
+    return matched(log, model or model_of(), told or {})
+
+
+def sensed(found: Match) -> dict[str, list[str]]:
+    return {
+        one.signal.name: [f"{column}={sensor.kind} {sensor.name}" for column, sensor in pairs]
+        for one in found.sensed
+        if (pairs := list(zip(one.columns, one.sensors, strict=True)))
+    }
+
+
+def driven(found: Match) -> list[tuple[str, list[int], list[int], bool]]:
+    return [
+        (one.signal.name, one.columns.tolist(), one.targets.tolist(), one.is_effort)
+        for one in found.drives
+    ]
+
+
+@pytest.mark.parametrize(
+    "columns",
+    [
+        ("shoulder", "elbow"),
+        ("robot/shoulder", "robot/elbow"),
+        ("Shoulder", "ELBOW"),
+        ("shoul-der", "el_bow"),
+        ("arm/left/Shoulder", "elbow"),
+    ],
+)
+def test_joints_are_found_by_name(columns: tuple[str, ...]):
+    found = match(signal("/joint_states.position", columns))
+    wanted = [f"{columns[0]}=jointpos shoulder", f"{columns[1]}=jointpos elbow"]
+    assert sensed(found) == {"/joint_states.position": wanted}
+    assert not found.unused
+
+
+def test_a_name_that_fits_as_it_is_goes_before_one_that_fits_without_its_prefix():
+    found = match(signal("/joint_states.position", ("other/elbow", "elbow")))
+    assert sensed(found) == {"/joint_states.position": ["elbow=jointpos elbow"]}
+    assert "other/elbow" in found.unused[0]
+
+
+def test_what_could_be_several_is_none():
+    two = """<worldbody><body><joint name="left/elbow"/><geom size=".1"/>
+      <body><joint name="right/elbow"/><geom size=".1"/></body></body></worldbody>"""
+    twins = model_of(two, "")
+    with pytest.raises(NotFoundError):
+        match(signal("/joint_states.position", ("elbow",)), model=twins)
+    with pytest.raises(NotFoundError):
+        match(signal("/joint_states.position", ("left/elbow", "right/elbow")))
+    both = match(signal("/joint_states.position", ("left/elbow", "Right/Elbow")), model=twins)
+    assert len(sensed(both)["/joint_states.position"]) == 2
+
+
+def test_quantities_and_commands():
+    found = match(
+        STATES,
+        signal("/joint_states.velocity", unit="rad/s"),
+        signal("/joint_states.effort", unit="N·m"),
+        signal("/joint_commands.position"),
+    )
+    kinds = {name: columns[-1] for name, columns in sensed(found).items()}
+    assert kinds == {
+        "/joint_states.position": "elbow=jointpos elbow",
+        "/joint_states.velocity": "elbow=jointvel elbow",
+        "/joint_states.effort": "elbow=jointactuatorfrc elbow",
+    }
+    assert driven(found) == [
+        ("/joint_commands.position", [1], [1], False),
+        ("/joint_states.effort", [0], [0], True),  # the shoulder, which nothing commands
+    ]
+
+
+@pytest.mark.parametrize(
+    ("quantity", "expected"), [("position", [1]), ("velocity", [2]), ("effort", [0])]
+)
+def test_a_command_goes_to_the_actuator_that_takes_its_quantity(quantity: str, expected: Any):
+    found = match(STATES, signal(f"/plan.{quantity}", drives=True))
+    assert [one[2] for one in driven(found)] == [expected]
+
+
+def test_a_servo_that_integrates_takes_speeds():
+    more = '<actuator><intvelocity name="i" joint="elbow" kp="3" actrange="-1 1"/></actuator>'
+    model = model_of(more=more)
+    assert not match(STATES, signal("/cmd.position"), model=model).drives
+    assert match(STATES, signal("/cmd.velocity", unit="rad/s"), model=model).drives
+
+
+def test_plain_numbers_command_by_order():
+    three = signal("/controller/commands", ("0", "1", "2"), "1", drives=True)
+    assert driven(match(STATES, three)) == [("/controller/commands", [0, 1, 2], [0, 1, 2], False)]
+    for columns in (("0", "1"), ("0", "1", "2", "3")):
+        found = match(STATES, signal("/controller/commands", columns, "1", drives=True))
+        assert not found.drives
+        assert "no actuator of the model takes it" in found.unused[0]
+    odd = signal("/controller/commands", ("7", "8", "9"), "1", drives=True)
+    assert driven(match(STATES, odd))[0][2] == [0, 1, 2]
+
+
+@pytest.mark.parametrize(
+    ("topic", "is_command"),
+    [
+        ("/joint_commands", True),
+        ("/desired/joint_states", False),
+        ("/joint_trajectory_controller/joint_states", False),
+        ("/joint_states_desired", True),
+        ("/cmd/joints", True),
+        ("/commander/measured", False),
+    ],
+)
+def test_a_topics_last_part_says_what_is_wanted(topic: str, is_command: bool):
+    found = match(signal("/other.position", ("shoulder",)), signal(f"{topic}.position", ("elbow",)))
+    assert bool(found.drives) == is_command
+
+
+def test_one_actuator_has_one_commander():
+    found = match(STATES, signal("/cmd.position"), signal("/target.position"))
+    assert [one[0] for one in driven(found)] == ["/cmd.position"]
+    assert "another signal commands" in found.unused[0]
+    again = match(
+        STATES,
+        signal("/cmd.position"),
+        signal("/target.position"),
+        told={"/cmd": "-"},
+    )
+    assert [one[0] for one in driven(again)] == ["/target.position"]
+
+
+def test_an_actuator_of_a_tendon_is_no_joints():
+    more = """<tendon><fixed name="t"><joint joint="elbow" coef="1"/></fixed></tendon>
+      <actuator><motor name="pull" tendon="t"/></actuator>"""
+    found = match(
+        STATES,
+        signal("/effort_commands.effort", ("pull",), drives=True),
+        signal("/joint_states.effort", unit="N·m"),
+        model=model_of(more=more),
+    )
+    assert driven(found)[1] == ("/joint_states.effort", [0, 1], [0, 1], True)
+
+
+@pytest.mark.parametrize("name", ["/block.1/pose", "/tf.block.1", "/Block_1", "/x/block.1"])
+def test_a_position_is_a_bodys_by_topic_or_frame(name: str):
+    found = match(signal(name, ("x", "y", "z"), "m"))
+    assert sensed(found) == {name: [f"{axis}=framepos block.1" for axis in "xyz"]}
+    state = initial_state(model_of(), found.sensed, START_NS)
+    assert state.qpos.shape == (9,)
+
+
+def test_positions_of_nothing_in_the_model_and_of_the_world_are_listed():
+    found = match(STATES, *(signal(name, ("x", "y", "z"), "m") for name in ("/world", "/tf.cup")))
+    assert [one.partition(":")[0] for one in found.unused] == ["/world", "/tf.cup"]
+
+
+NUMBERS = signal("/plain", ("0",), "1", drives=True)
+
+
+@pytest.mark.parametrize(
+    ("told", "expected"),
+    [
+        ({"/s.position.a": "joint/elbow"}, ["a=jointpos elbow"]),
+        ({"/s.a": "joint/elbow"}, ["a=jointpos elbow"]),
+        ({"a": "joint/elbow", "b": "joint/shoulder"}, ["a=jointpos elbow", "b=jointpos shoulder"]),
+        ({"a": "joint/elbow", "/s.b": "-"}, ["a=jointpos elbow"]),
+    ],
+)
+def test_columns_are_what_a_user_says(told: dict[str, str], expected: list[str]):
+    found = match(signal("/s.position", ("a", "b")), told=told)
+    assert sensed(found) == {"/s.position": expected}
+
+
+def test_signals_are_what_a_user_says():
+    def roles(name: str, target: str, *more: Signal) -> Match:
+        return match(STATES, *more, told={name: target})
+
+    assert sensed(roles("/plain", "joint/elbow", NUMBERS))["/plain"] == ["0=jointpos elbow"]
+    assert driven(roles("/plain", "actuator/servo", NUMBERS)) == [("/plain", [0], [1], False)]
+    speed = signal("/speed", ("w",), "rad/s")
+    assert sensed(roles("/speed", "joint/elbow", speed))["/speed"] == ["w=jointvel elbow"]
+    as_states = roles("/cmd", "states", signal("/cmd.position"))
+    assert not as_states.drives
+    assert "/cmd.position" in sensed(as_states)
+    as_commands = roles("/arm", "commands", signal("/arm.position"))
+    assert driven(as_commands) == [("/arm.position", [1], [1], False)]
+    assert "left out by --map" in roles("/plain", "-", NUMBERS).unused[0]
+    track = signal("/track", ("x", "y", "z"), "m")
+    assert "/track" in sensed(roles("/track", "body/block.1", track))
+    pressure = signal("/gauge", ("p",), "Pa")
+    assert "nothing of joints" in roles("/gauge", "states", pressure).unused[0]
+
+
+@pytest.mark.parametrize(
+    ("key", "target", "words"),
+    [
+        ("/joint_state", "states", "there is: /joint_states"),
+        ("", "states", "no such signal"),
+        ("/joint_states", "joint/elbo", "joint/elbow"),
+        ("/joint_states", "elbow", "joint/elbow"),
+        ("/joint_states", "joint/", "no part of the model"),
+        ("/joint_states", "actuator/", "no part of the model"),
+        ("/joint_states", "site/x", "no part of the model"),
+        ("/joint_states", "x" * 100_000, "no part of the model"),
+        ("x\n\x1b[31m" * 9000, "states", "no such signal"),
+        ("elbow", "states", "is one column alone"),
+        ("/joint_states.elbow", "body/lower", "is one column alone"),
+        ("/joint_states", "body/lower", "is no position in m"),
+    ],
+)
+def test_what_a_user_says_wrongly_is_one_line(key: str, target: str, words: str):
+    with pytest.raises(UsageError) as caught:
+        match(STATES, told={key: target})
+    line = str(caught.value)
+    assert words in line
+    assert line.isprintable()
+    assert len(line) < 700
+    assert caught.value.remedy
+
+
+def test_pixels_are_no_metres():
+    with pytest.raises(UsageError, match="no position in m"):
+        match(signal("/track", ("x", "y", "z"), "px"), told={"/track": "body/lower"})
+
+
+def test_what_matches_nothing_names_both_sides():
+    with pytest.raises(NotFoundError) as caught:
+        match(signal("/joint_states.position", ("j1", "j2")))
+    assert "log: j1, j2; model: joints shoulder, elbow, block, bodies upper" in str(caught.value)
+    assert "--map" in str(caught.value.remedy)
+    with pytest.raises(NotFoundError, match="log: nothing"):
+        match()
+
+
+@pytest.mark.parametrize(
+    ("values", "reason"),
+    [
+        (np.zeros((1, 2)), "fewer than two samples"),
+        (np.zeros((0, 2)), "fewer than two samples"),
+        (np.full((50, 2), np.nan), "fewer than two samples"),
+    ],
+)
+def test_what_has_no_samples_says_so(values: Any, reason: str):
+    speeds = signal("/joint_states.velocity", unit="rad/s")
+    found = match(signal("/joint_states.position", values=values), speeds)
+    assert list(sensed(found)) == ["/joint_states.velocity"]
+    assert reason in found.unused[0]
+    commands = match(STATES, signal("/cmd.position", values=values))
+    assert bool(commands.drives) == bool(np.isfinite(values).any())  # one command holds
+    poses = signal("/block.1", ("x", "y", "z"), "m", values=np.resize(values, (len(values), 3)))
+    assert len(match(STATES, poses).sensed) == 1
+
+
+def test_what_a_joint_cannot_be_is_no_joint():
+    found = match(signal("/joint_states.position", ("block", "elbow")))
+    assert sensed(found) == {"/joint_states.position": ["elbow=jointpos elbow"]}
+    assert "no single position" in found.unused[0]
+    blank = match(signal("/joint_states.position", ("elbow", "", "---", "é\n")))
+    assert len(blank.sensed[0].columns) == 1
+
+
+def test_a_thousand_columns():
+    columns = [f"j{number}" for number in range(999)] + ["elbow"]
+    found = match(signal("/joint_states.position", columns), signal("/cmd.position", columns))
+    assert sensed(found) == {"/joint_states.position": ["elbow=jointpos elbow"]}
+    assert driven(found) == [("/cmd.position", [999], [1], False)]
+    assert max(map(len, found.unused)) < 200
+
+
+def test_stamps_in_bursts_are_simulated():
+    stamps_ns = np.unique(START_NS + STEP_NS * 20 * np.arange(5)[:, None] + np.arange(10))
+    values = 0.1 * np.sin((stamps_ns - START_NS) * 1e-9)[:, None]
+    bursts = Signal("/joint_states.position", stamps_ns, values, ("elbow",), "rad")
+    log = Episode(EpisodeInfo(), {bursts.name: bursts})
+    model = model_of()
+    found = matched(log, model, {})
+    state = initial_state(model, found.sensed, START_NS)
+    spec = mujoco().MjSpec.from_string(f"<mujoco>{PARTS}{SERVOS}</mujoco>")
+    end_ns = int(stamps_ns[-1])
+    simulator = ModelSimulator(spec, (), tuple(found.sensed), tuple(found.drives), state, end_ns)
+    target = compared(log, simulator.rollout({}))
+    assert len(target.values) == 50
+    assert np.isfinite(target.seen_in(simulator.rollout({}))).all()
