@@ -23,6 +23,7 @@ from analysis.evaluation.choices import (
     chosen_names,
     chosen_sections,
 )
+from analysis.evaluation.writing import write_json_to, write_text_to
 from tunenet_logs.errors import UsageError
 
 if TYPE_CHECKING:
@@ -69,8 +70,8 @@ def _drop(
         write_convergence(results, path)
 
     return [drop_tables(results)], {
-        "json": lambda path: _write_json(path, drop_json(results)),
-        "csv": lambda path: _write(path, drop_csv(results)),
+        "json": lambda path: write_json_to(path, drop_json(results)),
+        "csv": lambda path: write_text_to(path, drop_csv(results)),
         "png": lambda path: write_figure(results, path),
         "rrd": write_rrd,
     }
@@ -89,8 +90,8 @@ def _motion(
     targets = arguments.targets
     rows = run_motion(seeds, targets, arguments.jobs, progress, _effort(arguments))
     return [motion_lines(rows, seeds, targets)], {
-        "json": lambda path: _write_json(path, motion_json(rows, seeds, targets)),
-        "csv": lambda path: _write(path, motion_csv(rows, seeds)),
+        "json": lambda path: write_json_to(path, motion_json(rows, seeds, targets)),
+        "csv": lambda path: write_text_to(path, motion_csv(rows, seeds)),
     }
 
 
@@ -105,8 +106,8 @@ def _intervals(
     targets = arguments.targets
     rows = interval_coverages(seeds, targets, arguments.jobs, progress)
     return [coverage_table(rows)], {
-        "json": lambda path: _write_json(path, intervals_json(rows, seeds, targets)),
-        "csv": lambda path: _write(path, intervals_csv(rows)),
+        "json": lambda path: write_json_to(path, intervals_json(rows, seeds, targets)),
+        "csv": lambda path: write_text_to(path, intervals_csv(rows)),
     }
 
 
@@ -156,10 +157,10 @@ def _payload(
             yield convention_table(conventions)
 
     return blocks(), {
-        "json": lambda path: _write_json(
+        "json": lambda path: write_json_to(
             path, payload_json(masses, logs, order, strangers, conventions)
         ),
-        "csv": lambda path: _write(path, payload_csv(masses, order)),
+        "csv": lambda path: write_text_to(path, payload_csv(masses, order)),
     }
 
 
@@ -201,8 +202,8 @@ def _bounce_shot(
             yield acceptance_table(bad, good)
 
     return blocks(), {
-        "json": lambda path: _write_json(path, shot_json(results, bad, good)),
-        "csv": lambda path: _write(path, shot_csv(results)),
+        "json": lambda path: write_json_to(path, shot_json(results, bad, good)),
+        "csv": lambda path: write_text_to(path, shot_csv(results)),
     }
 
 
@@ -252,8 +253,8 @@ def _video(
             yield transformed_table(transformed)
 
     return blocks(), {
-        "json": lambda path: _write_json(path, video_json(rows, order, clips, transformed)),
-        "csv": lambda path: _write(path, video_csv(rows)),
+        "json": lambda path: write_json_to(path, video_json(rows, order, clips, transformed)),
+        "csv": lambda path: write_text_to(path, video_csv(rows)),
     }
 
 
@@ -285,8 +286,8 @@ def _real_balls(
                 yield from section_blocks(section, found)
 
     return blocks(), {
-        "json": lambda path: _write_json(path, real_json(lines, order)),
-        "csv": lambda path: _write(path, real_csv(lines)),
+        "json": lambda path: write_json_to(path, real_json(lines, order)),
+        "csv": lambda path: write_text_to(path, real_csv(lines)),
     }
 
 
@@ -301,8 +302,8 @@ def _engines(
     order = EngineOrder(seeds, arguments.targets, arguments.jobs)
     lines = engine_lines(order, progress)
     return [engine_tables(lines, order)], {
-        "json": lambda path: _write_json(path, engines_json(lines, order)),
-        "csv": lambda path: _write(path, engines_csv(lines)),
+        "json": lambda path: write_json_to(path, engines_json(lines, order)),
+        "csv": lambda path: write_text_to(path, engines_csv(lines)),
     }
 
 
@@ -325,8 +326,8 @@ def _sysid(
             yield sysid_table(section, outcomes, order)
 
     return blocks(), {
-        "json": lambda path: _write_json(path, sysid_json(all_of_them, order)),
-        "csv": lambda path: _write(path, sysid_csv(all_of_them)),
+        "json": lambda path: write_json_to(path, sysid_json(all_of_them, order)),
+        "csv": lambda path: write_text_to(path, sysid_csv(all_of_them)),
     }
 
 
@@ -334,19 +335,6 @@ def _effort(arguments: argparse.Namespace) -> Effort:
     from analysis.evaluation.drop.networks import Effort
 
     return Effort(arguments.pairs, arguments.epochs)
-
-
-def _write(path: Path, text: str) -> None:
-    from analysis.result_files import replacing
-
-    with replacing(path) as partial:
-        partial.write_text(text, "utf-8")
-
-
-def _write_json(path: Path, text: str) -> None:
-    from analysis.result_files import write_json
-
-    write_json(path, text)
 
 
 EXPERIMENTS: dict[str, Experiment] = {

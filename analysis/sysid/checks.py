@@ -6,7 +6,7 @@ import numpy as np
 
 from analysis.checks import Check
 from analysis.sysid.advice import excitation
-from analysis.sysid.compared import Compared
+from analysis.sysid.compared import ComparedColumns
 from analysis.sysid.fit import SimulatorFit
 from recorders.simulators.base import Parameter
 from tunenet_logs.arrays import Array
@@ -35,7 +35,7 @@ _WRONG_MODEL = (
 )
 
 
-def recording_checks(target: Compared) -> tuple[Check, ...]:
+def recording_checks(target: ComparedColumns) -> tuple[Check, ...]:
     """What the log itself shows."""
     ratios = [column.spread / max(column.noise, 1e-12) for column in target.columns]
     best = int(np.argmax(ratios))
@@ -47,7 +47,7 @@ def recording_checks(target: Compared) -> tuple[Check, ...]:
     return (Check("it moves", ratios[best] >= _MOVES, detail, fatal=True, advice=advice),)
 
 
-def match_check(target: Compared, residuals: Array) -> Check:
+def match_check(target: ComparedColumns, residuals: Array) -> Check:
     """Whether what the simulator leaves of each column is its noise, or little of its motion."""
     left = target.rms(residuals)
     share, worst = 0.0, target.columns[0]

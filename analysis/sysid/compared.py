@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
@@ -52,7 +53,7 @@ class Column:
 
 
 @dataclass(frozen=True, eq=False)
-class Compared:
+class ComparedColumns:
     """All columns that a log and the rollouts share.
 
     Attributes:
@@ -79,10 +80,10 @@ class Compared:
         return np.concatenate([column.values for column in self.columns])
 
     @cached_property
-    def which(self) -> Array:
+    def which(self) -> NDArray[np.intp]:
         """The column's number of each value, shape (N,)."""
         counts = [len(column.values) for column in self.columns]
-        return np.repeat(np.arange(len(counts)), counts)
+        return np.repeat(np.arange(len(counts), dtype=np.intp), counts)
 
     def per_value(self, by_column: Sequence[float] | Array) -> Array:
         """One number a column, repeated for each of its values, shape (N,)."""
@@ -101,7 +102,7 @@ class Compared:
             found.append(np.interp(column.seconds, at_s, track, left=np.nan, right=np.nan))
         return np.concatenate(found)
 
-    def rms(self, residuals: Array, chosen: Array | None = None) -> Array:
+    def rms(self, residuals: Array, chosen: NDArray[np.bool_] | None = None) -> Array:
         """Root mean square by column, shape (C,), of values of shape (N,); of those chosen."""
         kept = np.isfinite(residuals) if chosen is None else np.isfinite(residuals) & chosen
         squares = np.bincount(
@@ -111,13 +112,13 @@ class Compared:
         return np.sqrt(squares / np.maximum(counts, 1))
 
 
-def _origin(stamps_ns: Array, start_ns: int) -> int:
+def _origin(stamps_ns: NDArray[np.int64], start_ns: int) -> int:
     """What a rollout's stamps count from: the log's, or their own where they begin elsewhere."""
     first, last = int(stamps_ns[0]), int(stamps_ns[-1])
     return start_ns if first <= start_ns <= last else first
 
 
-def compared(observed: Episode, rollout: Episode) -> Compared:
+def compared(observed: Episode, rollout: Episode) -> ComparedColumns:
     """The columns that a log and a rollout of the simulator share.
 
     Raises:
@@ -144,7 +145,7 @@ def compared(observed: Episode, rollout: Episode) -> Compared:
             f"{shared[0][0]}: {most} samples are too few to tune from",
             f"record {_LEAST_SAMPLES} or more",
         )
-    return Compared(start_ns, kept)
+    return ComparedColumns(start_ns, kept)
 
 
 def _column(observed: Episode, name: str, column: str, start_ns: int) -> Column:
@@ -153,7 +154,7 @@ def _column(observed: Episode, name: str, column: str, start_ns: int) -> Column:
     good = np.flatnonzero(np.isfinite(values))
     good = good[:: len(good) // _MOST_SAMPLES + 1]
     seconds = (signal.stamps_ns[good] - start_ns) * 1e-9
-    values = values[good]
+    seconds = 1e-9 * (signal.stamps_ns[good] - start_ns).astype(np.float64)
     return Column(
         name, column, signal.unit, seconds, values, noise_of(values), float(np.std(values))
     )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from analysis.sysid.compared import Compared
+from analysis.sysid.compared import ComparedColumns
 from analysis.sysid.gauss_newton import Solution, ranges_of
 from recorders.simulators.base import Parameter
 from tunenet_logs.arrays import Array
@@ -23,7 +23,7 @@ _FLAT = 1e-2
 
 
 def covariance(
-    solution: Solution, target: Compared, parameters: tuple[Parameter, ...]
+    solution: Solution, target: ComparedColumns, parameters: tuple[Parameter, ...]
 ) -> tuple[Array, float]:
     """Of a solution's values, shape (P, P), and how many independent moments it rests on."""
     scales = ranges_of(parameters)
@@ -48,7 +48,7 @@ def covariance(
     return found * np.outer(scales, scales), independent
 
 
-def _by_moment(scores: Array, target: Compared) -> Array:
+def _by_moment(scores: Array, target: ComparedColumns) -> Array:
     """Sums over all columns of what was seen at about one moment, shape (K, P)."""
     longest = max(len(column.values) for column in target.columns)
     count = min(longest, _MOST_BINS)

@@ -8,9 +8,9 @@ import numpy as np
 from scipy.stats import qmc, t
 
 from analysis.estimators.base import FitResult
-from analysis.sysid.compared import Compared
+from analysis.sysid.compared import ComparedColumns
 from analysis.sysid.covariance import covariance
-from analysis.sysid.gauss_newton import GaussNewton, Run, Solution, ranges_of
+from analysis.sysid.gauss_newton import RolloutLeastSquares, Run, Solution, ranges_of
 from recorders.simulators.base import Parameter
 from tunenet_logs.arrays import Array
 
@@ -70,7 +70,7 @@ class SimulatorFit:
         inflation: how much less sure each value is than if all others were known, shape (P,).
     """
 
-    target: Compared
+    target: ComparedColumns
     parameters: tuple[Parameter, ...]
     tuned: int
     solution: Solution
@@ -99,7 +99,7 @@ class SimulatorFit:
 def fit_simulator(
     run: Run,
     finer: Run | None,
-    target: Compared,
+    target: ComparedColumns,
     parameters: tuple[Parameter, ...],
     start: Array,
     unresolved: Array | None = None,
@@ -118,7 +118,7 @@ def fit_simulator(
         Of the T tuned ones; its detail is a `SimulatorFit`.
     """
     tuned = len(start)
-    steps = GaussNewton(run, target, parameters)
+    steps = RolloutLeastSquares(run, target, parameters)
     given = np.array([one.initial for one in parameters])
     first = run(given[None])[0]
     solution = steps.solve(np.concatenate([start, given[tuned:]]))
@@ -156,7 +156,7 @@ def fit_simulator(
     return FitResult(solution.values[:tuned], ends.T[:tuned], detail=detail, path=solution.path)
 
 
-def _walked(steps: GaussNewton, solution: Solution, cov: Array, tuned: int) -> Array:
+def _walked(steps: RolloutLeastSquares, solution: Solution, cov: Array, tuned: int) -> Array:
     """How much less sure each tuned parameter is than slopes say, a factor from 1 on, shape (T,).
 
     Where parameters are seen only together, what slopes are off by looks like knowledge. So each is
@@ -183,7 +183,7 @@ def _walked(steps: GaussNewton, solution: Solution, cov: Array, tuned: int) -> A
     return factors
 
 
-def _is_good(solution: Solution, target: Compared) -> bool:
+def _is_good(solution: Solution, target: ComparedColumns) -> bool:
     """Whether every column is met about as well as its noise lets it."""
     left = target.rms(solution.residuals, solution.chosen)
     return all(
@@ -192,7 +192,7 @@ def _is_good(solution: Solution, target: Compared) -> bool:
     )
 
 
-def _from_elsewhere(steps: GaussNewton, solution: Solution, tuned: int) -> Solution:
+def _from_elsewhere(steps: RolloutLeastSquares, solution: Solution, tuned: int) -> Solution:
     """The best of solutions from other starts: those of many that are least off."""
     low, high = np.array([one.training_range for one in steps.parameters[:tuned]]).T
     places = qmc.scale(qmc.Halton(tuned, rng=0).random(_SCREENED), low, high)
@@ -214,7 +214,7 @@ def _from_elsewhere(steps: GaussNewton, solution: Solution, tuned: int) -> Solut
 
 
 def _moved_by(
-    change: Array, solution: Solution, target: Compared, parameters: tuple[Parameter, ...]
+    change: Array, solution: Solution, target: ComparedColumns, parameters: tuple[Parameter, ...]
 ) -> Array:
     """How far a change of what is simulated moves the least squares, shape (P,)."""
     scales = ranges_of(parameters)
@@ -227,7 +227,7 @@ def _moved_by(
 
 def _held_out(
     run: Run,
-    target: Compared,
+    target: ComparedColumns,
     parameters: tuple[Parameter, ...],
     solution: Solution,
     first: Array,
@@ -236,7 +236,7 @@ def _held_out(
     later = target.seconds > from_s
     if min(np.bincount(target.which[later], minlength=len(target.columns))) < 2:
         return None
-    _, residuals = GaussNewton(run, target, parameters, from_s).one_step(solution)
+    _, residuals = RolloutLeastSquares(run, target, parameters, from_s).one_step(solution)
     return HeldOut(
         from_s,
         target.values + residuals,

@@ -9,8 +9,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from analysis.sysid.compared import Compared
+from analysis.sysid.compared import ComparedColumns
 from recorders.simulators.base import Parameter
 from tunenet_logs.arrays import Array
 
@@ -69,7 +70,7 @@ class Solution:
     slopes: Array
     noise: Array
     path: tuple[Array, ...]
-    chosen: Array
+    chosen: NDArray[np.bool_]
 
 
 def ranges_of(parameters: Sequence[Parameter]) -> Array:
@@ -82,7 +83,7 @@ def ranges_of(parameters: Sequence[Parameter]) -> Array:
 
 
 @dataclass(eq=False)
-class GaussNewton:
+class RolloutLeastSquares:
     """Least squares on one log.
 
     Attributes:
@@ -93,7 +94,7 @@ class GaussNewton:
     """
 
     run: Run
-    target: Compared
+    target: ComparedColumns
     parameters: tuple[Parameter, ...]
     until_s: float | None = None
 

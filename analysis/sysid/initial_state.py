@@ -10,7 +10,7 @@ import numpy as np
 from analysis.sysid.compared import noise_of
 from recorders.simulators.base import Parameter
 from recorders.simulators.mujoco.library import mujoco
-from recorders.simulators.mujoco.model_simulator import InitialState, Sensed
+from recorders.simulators.mujoco.model_simulator import InitialState, SensedSignal
 from tunenet_logs.arrays import Array
 
 _SECONDS, _MOST_SAMPLES, _LEAST_SAMPLES = 0.12, 40, 4
@@ -22,7 +22,7 @@ _FAR = 50.0
 """Standard deviations from its estimate that an initial value is looked for."""
 
 
-def initial_state(model: Any, sensed: Sequence[Sensed], stamp_ns: int) -> InitialState:
+def initial_state(model: Any, sensed: Sequence[SensedSignal], stamp_ns: int) -> InitialState:
     """The state of a compiled model at a stamp, by what the log shows of it right after.
 
     What the log does not show is as the model has it, at rest.
@@ -60,7 +60,7 @@ _Samples = tuple[Array, Array]
 
 
 def _shown(
-    model: Any, sensed: Sequence[Sensed]
+    model: Any, sensed: Sequence[SensedSignal]
 ) -> dict[tuple[str, str, int, int], tuple[_Samples | None, _Samples | None]]:
     """What is shown of each coordinate: its name, unit and places -> positions and speeds."""
     shown: dict[tuple[str, str, int, int], tuple[_Samples | None, _Samples | None]] = {}
@@ -105,7 +105,7 @@ def _free_joint(model: Any, body: str) -> int | None:
     return first if first >= 0 and model.jnt_type[first] == free else None
 
 
-def _samples(sensed: Sensed, column: str) -> _Samples:
+def _samples(sensed: SensedSignal, column: str) -> _Samples:
     values = sensed.signal.values[:, sensed.signal.columns.index(column)]
     good = np.isfinite(values)
     return sensed.signal.stamps_ns[good].astype(np.float64), values[good]

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from analysis.estimators.base import Observation
-from analysis.sysid.compared import Compared
+from analysis.sysid.compared import ComparedColumns
 from analysis.sysid.source import Rollouts
 from analysis.tunenet.checkpoint import Purpose, load_model, save_model
 from analysis.tunenet.network import Model, WideNetwork
@@ -42,7 +42,7 @@ _RECIPE = Recipe(
 )
 
 
-def observation(target: Compared, values: Array) -> Observation:
+def observation(target: ComparedColumns, values: Array) -> Observation:
     """What a network sees: all columns on one grid, each in spreads of the log's.
 
     Args:
@@ -66,7 +66,7 @@ def observation(target: Compared, values: Array) -> Observation:
 
 def trained_network(
     rollouts: Rollouts,
-    target: Compared,
+    target: ComparedColumns,
     parameters: tuple[Parameter, ...],
     tuned: int,
     digest: str,
@@ -99,7 +99,7 @@ def trained_network(
 
 
 def _kept(
-    target: Compared, parameters: tuple[Parameter, ...], digest: str, count: int
+    target: ComparedColumns, parameters: tuple[Parameter, ...], digest: str, count: int
 ) -> Path | None:
     """Where the network is kept: by the model, what is tuned, and what the log drives it with."""
     root = os.environ.get("XDG_CACHE_HOME")
@@ -114,7 +114,7 @@ def _kept(
 
 def _pairs(
     rollouts: Rollouts,
-    target: Compared,
+    target: ComparedColumns,
     parameters: tuple[Parameter, ...],
     tuned: int,
     count: int,

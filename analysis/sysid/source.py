@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from analysis.sysid.compared import Compared, compared
+from analysis.sysid.compared import ComparedColumns, compared
 from recorders.simulators.base import Parameter, Simulator
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
@@ -41,7 +41,7 @@ class Connected:
     """
 
     simulator: Simulator
-    target: Compared
+    target: ComparedColumns
     rollouts: Rollouts
     finer: Rollouts | None = None
     unresolved: Mapping[str, float] = field(default_factory=dict)
@@ -161,7 +161,7 @@ class ModelSource:
         """See `SimulatorSource`."""
         return tuple(one.parameter for one in self._tuned)
 
-    @cached_property
+    @property
     def digest(self) -> str:
         """See `SimulatorSource`."""
         import hashlib

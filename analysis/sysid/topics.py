@@ -12,7 +12,7 @@ import numpy as np
 from analysis.sysid.names import is_wanted, named_as, quantity_of, topic_of, words_of
 from recorders.simulators.mujoco.library import mujoco
 from recorders.simulators.mujoco.model_parameters import element_names
-from recorders.simulators.mujoco.model_simulator import Drive, Sensed, Sensor
+from recorders.simulators.mujoco.model_simulator import Drive, SensedSignal, Sensor
 from tunenet_logs.episode import Episode, Signal
 from tunenet_logs.errors import NotFoundError, UsageError
 from tunenet_logs.terminal import listed, short_name
@@ -47,7 +47,7 @@ class Match:
         unused: each that is not, and why.
     """
 
-    sensed: list[Sensed] = field(default_factory=list)
+    sensed: list[SensedSignal] = field(default_factory=list)
     drives: list[Drive] = field(default_factory=list)
     used: list[str] = field(default_factory=list)
     unused: list[str] = field(default_factory=list)
@@ -135,7 +135,7 @@ class _Matching:
             return
         sensors = tuple(Sensor(kind, joint) for _, _, joint in columns)
         names = tuple(column for _, column, _ in columns)
-        self._sense(Sensed(signal, names, sensors))
+        self._sense(SensedSignal(signal, names, sensors))
 
     def _why_not(self, signal: Signal, place: int, joint: str | None) -> str:
         """Why a column of states is no joint's; "" where it is one's."""
@@ -157,7 +157,7 @@ class _Matching:
         seen = [one for one, joint in zip(columns, joints, strict=True) if joint in driven]
         if seen:
             sensors = tuple(Sensor("jointactuatorfrc", joint) for _, _, joint in seen)
-            self._sense(Sensed(signal, tuple(column for _, column, _ in seen), sensors))
+            self._sense(SensedSignal(signal, tuple(column for _, column, _ in seen), sensors))
         rest = [
             (place, int(self._model.jnt_dofadr[joint]))
             for (place, _, _), joint in zip(columns, joints, strict=True)
@@ -258,9 +258,9 @@ class _Matching:
             self._found.unused.append(f"{signal.name}: fewer than two samples")
             return
         sensors = tuple(Sensor("framepos", body, axis) for axis in range(3))
-        self._sense(Sensed(signal, signal.columns, sensors), f"position of {body}")
+        self._sense(SensedSignal(signal, signal.columns, sensors), f"position of {body}")
 
-    def _sense(self, sensed: Sensed, what: str = "") -> None:
+    def _sense(self, sensed: SensedSignal, what: str = "") -> None:
         self._found.sensed.append(sensed)
         what = what or f"{listed([one.name for one in sensed.sensors], _FEW)}"
         self._found.used.append(f"{sensed.signal.name}: compared with {what}")

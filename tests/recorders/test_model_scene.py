@@ -10,7 +10,7 @@ from recorders.simulators.mujoco.model_scene import ModelScene
 from recorders.simulators.mujoco.model_simulator import (
     InitialState,
     ModelSimulator,
-    Sensed,
+    SensedSignal,
     Sensor,
 )
 from tunenet_logs.episode import Signal
@@ -98,7 +98,7 @@ def test_coordinates_are_what_a_rollout_shows():
     simulator = ModelSimulator(
         mujoco().MjSpec.from_string(MODEL.format(group="")),
         (),
-        (Sensed(signal, ("hinge",), (Sensor("jointpos", "hinge"),)),),
+        (SensedSignal(signal, ("hinge",), (Sensor("jointpos", "hinge"),)),),
         (),
         InitialState(0, np.array([1.0]), np.zeros(1)),
         int(stamps[-1]),

@@ -20,7 +20,7 @@ from analysis.sysid.review.review_data import SimulatorReviewData
 from analysis.sysid.review.shapes import log_shapes
 from recorders.simulators.mujoco.library import mujoco
 from recorders.simulators.mujoco.model_scene import ModelScene, Shape
-from recorders.simulators.mujoco.model_simulator import ModelSimulator, Sensed
+from recorders.simulators.mujoco.model_simulator import ModelSimulator, SensedSignal
 from tunenet_logs.arrays import Array
 
 _FIXED: Color = (92, 98, 114)
@@ -127,7 +127,7 @@ def _moments(end_s: float, bodies: int) -> Array:
 
 
 def _observed(
-    model: Any, sensed: Sequence[Sensed], moments: Array, start_ns: int, simulated: Array
+    model: Any, sensed: Sequence[SensedSignal], moments: Array, start_ns: int, simulated: Array
 ) -> tuple[Array | None, bool]:
     """Coordinates by what the log shows of them, and as simulated where it does not.
 
@@ -161,7 +161,7 @@ def _observed(
     return (qpos if shown.any() else None), bool(shown.all())
 
 
-def _track(sensed: Sensed, column: str, moments: Array, start_ns: int) -> Array | None:
+def _track(sensed: SensedSignal, column: str, moments: Array, start_ns: int) -> Array | None:
     """A column between its samples, shape (T,)."""
     values = sensed.signal.values[:, sensed.signal.columns.index(column)]
     good = np.isfinite(values)
@@ -261,7 +261,7 @@ def _log_motion(
 
 def _log_points(
     stream: rr.RecordingStream,
-    sensed: Sequence[Sensed],
+    sensed: Sequence[SensedSignal],
     moments: Array,
     start_ns: int,
     at_s: Array,

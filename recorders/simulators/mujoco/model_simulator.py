@@ -39,7 +39,7 @@ class Sensor(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Sensed:
+class SensedSignal:
     """A signal of the log that the model has, too.
 
     Attributes:
@@ -106,7 +106,7 @@ class ModelSimulator:
 
     spec: Any
     tuned: tuple[ModelParameter, ...]
-    sensed: tuple[Sensed, ...]
+    sensed: tuple[SensedSignal, ...]
     drives: tuple[Drive, ...]
     initial: InitialState
     end_ns: int
@@ -284,7 +284,8 @@ class ModelSimulator:
         edges_s = step_s * (np.arange(self._steps + 1) - 0.5 * self._is_late)
         control = np.zeros((self._steps, model.nu + model.nv))
         for drive in self.drives:
-            at_s: Array = (drive.signal.stamps_ns - self.initial.stamp_ns) * 1e-9
+            since_ns = drive.signal.stamps_ns - self.initial.stamp_ns
+            at_s = np.asarray(since_ns, np.float64) * 1e-9
             for column, target in zip(drive.columns, drive.targets, strict=True):
                 values = drive.signal.values[:, column]
                 good = np.isfinite(values)
