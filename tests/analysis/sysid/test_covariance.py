@@ -26,7 +26,7 @@ def test_95_percent_intervals_cover(memory: float, least: float):
         drawn = rng.normal(size=len(SECONDS) + 200)
         noise = 0.05 * np.asarray(lfilter([1.0], [1.0, -memory], drawn))[200:]
         target = target_of(line(truth) + noise)
-        values = np.linalg.lstsq(slopes, target.values, rcond=None)[0]
+        values = np.linalg.lstsq(slopes, target.values, rcond=None)[0].astype(np.float64)
         residuals = line(values) - target.values
         everything = np.ones(len(SECONDS), bool)
         solution = Solution(values, residuals, slopes, target.rms(residuals), (), everything)
