@@ -75,7 +75,7 @@ def _at_least(meat: Array, white: Array) -> Array:
 
     Residuals that repel each other by chance make nobody surer.
     """
-    factor = np.linalg.cholesky(white + 1e-9 * np.trace(white) * np.eye(len(white)))
+    factor = np.linalg.cholesky(white + (1e-9 * np.trace(white) + 1e-30) * np.eye(len(white)))
     inner = np.linalg.solve(factor, np.linalg.solve(factor, meat).T)
     sizes, axes = np.linalg.eigh((inner + inner.T) / 2)
     kept = axes @ np.diag(np.maximum(sizes, 1.0)) @ axes.T

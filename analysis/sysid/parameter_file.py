@@ -10,7 +10,7 @@ from tunenet_logs.errors import LogError, UsageError
 from tunenet_logs.small_files import read_small_file
 from tunenet_logs.terminal import one_line, short_name
 
-_MOST_BYTES, _MOST_LINES = 64_000, 200
+_MOST_BYTES, _MOST_LINES, _MOST_DEPTH = 64_000, 200, 3
 _SHAPE = "write lines such as joint/elbow.damping: [0, 5]"
 
 
@@ -39,18 +39,31 @@ def _of_file(path: Path) -> Iterator[str]:
             isinstance(one, int | float) and not isinstance(one, bool) for one in limits
         ):
             raise UsageError(f"{path}: {short_name(address)} has no [LOW, HIGH]", _SHAPE)
-        yield f"{address}={float(limits[0])!r}:{float(limits[1])!r}"
+        try:
+            low, high = map(float, limits)
+        except OverflowError as error:
+            what = f"{path}: {short_name(address)} has a limit that is too large"
+            raise UsageError(what, _SHAPE) from error
+        yield f"{address}={low!r}:{high!r}"
 
 
 def _mapping(path: Path) -> dict[Any, Any]:
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
+    from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent
 
     try:
-        found = YAML(typ="safe", pure=True).load(read_small_file(path, _MOST_BYTES))
-    except (OSError, LogError, ValueError, RecursionError) as error:
+        data = read_small_file(path, _MOST_BYTES)
+        depth = 0
+        for event in YAML(typ="safe", pure=True).parse(data):
+            depth += isinstance(event, CollectionStartEvent)
+            depth -= isinstance(event, CollectionEndEvent)
+            if depth > _MOST_DEPTH or isinstance(event, AliasEvent):  # few may stand for millions
+                raise UsageError(f"{path}: has nested lists or aliases (*NAME)", _SHAPE)
+        found = YAML(typ="safe", pure=True).load(data)
+    except (OSError, LogError, ValueError, TypeError, RecursionError) as error:
         why = getattr(error, "strerror", None) or one_line(error)
-        raise UsageError(f"{path}: cannot be read ({why})", _SHAPE) from error
+        raise UsageError(f"{path}: cannot be read ({short_name(why)})", _SHAPE) from error
     except YAMLError as error:
         raise UsageError(f"{path}: is no YAML ({one_line(error)[:80]})", _SHAPE) from error
     if not isinstance(found, dict) or not 0 < len(found) <= _MOST_LINES:

@@ -152,7 +152,7 @@ def element_names(model: Any, kind: str) -> list[str]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Entry:
+class _ModelPlace:
     """Where a number stands in a compiled model."""
 
     get: Callable[[Any], float]
@@ -161,13 +161,13 @@ class _Entry:
 
 def _place(
     model: Any, kind: str, field_name: str, field: ModelField, number: int, index: int
-) -> _Entry:
+) -> _ModelPlace:
     if kind == "option":
         return _option_place(field, index)
     if kind == "actuator" and field_name in ("kp", "kv"):
         return _servo_place(model, field_name, number)
     if field_name == "mass":
-        return _Entry(lambda one: one.body_mass[number], _mass_put(number))
+        return _ModelPlace(lambda one: one.body_mass[number], _mass_put(number))
     rows = slice(number, number + 1)
     if field.by_dof:
         rows = _dofs(model, number)
@@ -182,7 +182,7 @@ def _place(
     def put(one: Any, value: float) -> None:
         view(one)[:] = value
 
-    return _Entry(lambda one: float(view(one)[0]), put)
+    return _ModelPlace(lambda one: float(view(one)[0]), put)
 
 
 def _dofs(model: Any, joint: int) -> slice:
@@ -192,7 +192,7 @@ def _dofs(model: Any, joint: int) -> slice:
     return slice(first, first + len(joints_of))
 
 
-def _option_place(field: ModelField, index: int) -> _Entry:
+def _option_place(field: ModelField, index: int) -> _ModelPlace:
     def get(one: Any) -> float:
         return float(np.atleast_1d(getattr(one.opt, field.array))[index])
 
@@ -202,10 +202,10 @@ def _option_place(field: ModelField, index: int) -> _Entry:
         else:
             setattr(one.opt, field.array, value)
 
-    return _Entry(get, put)
+    return _ModelPlace(get, put)
 
 
-def _servo_place(model: Any, field_name: str, number: int) -> _Entry:
+def _servo_place(model: Any, field_name: str, number: int) -> _ModelPlace:
     """A servo's gain on position (kp) or damping on speed (kv), in its gain and its bias."""
     _, on_position, on_speed = model.actuator_biasprm[number, :3]
     is_of_speed = bool(on_speed and not on_position)
@@ -225,7 +225,7 @@ def _servo_place(model: Any, field_name: str, number: int) -> _Entry:
                 one.actuator_gainprm[number, 0] = value
             one.actuator_biasprm[number, 2] = -value
 
-    return _Entry(get, put)
+    return _ModelPlace(get, put)
 
 
 def _check_matters(model: Any, kind: str, field_name: str, number: int, text: str) -> None:
