@@ -51,14 +51,10 @@ def match_check(target: ComparedColumns, residuals: Array) -> Check:
     """Whether what the simulator leaves of each column is its noise, or little of its motion."""
     left = target.rms(residuals)
     share, worst = 0.0, target.columns[0]
-    limits = [
-        max(_NOISES * column.noise, _GOOD_SHARE * column.spread) / max(column.spread, 1e-12)
-        for column in target.columns
-    ]
-    over = [
-        rms / max(column.spread, 1e-12) / limit
-        for rms, column, limit in zip(left, target.columns, limits, strict=True)
-    ]
+    spreads = np.array([max(column.spread, 1e-12) for column in target.columns])
+    noises = np.array([column.noise for column in target.columns])
+    limits = np.maximum(_NOISES * noises / spreads, _GOOD_SHARE)
+    over = left / spreads / limits
     place = int(np.argmax(over))
     worst = target.columns[place]
     share = left[place] / max(worst.spread, 1e-12)

@@ -17,7 +17,7 @@ _SECONDS, _MOST_SAMPLES, _LEAST_SAMPLES = 0.12, 40, 4
 _CAUTION = 3.0
 """What the priors are wider by than the noise alone says: speeds change in the first samples."""
 
-_LEAST_SD = 1e-6
+_LEAST_SD = 1e-4
 _FAR = 50.0
 """Standard deviations from its estimate that an initial value is looked for."""
 

@@ -23,7 +23,7 @@ Section = Literal["tuned", "untold", "wrong", "toolbox", "network"]
 
 
 @dataclass(frozen=True)
-class Trial:
+class MachineTrial:
     """One log to be tuned.
 
     Attributes:
@@ -40,7 +40,7 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class Found:
+class FoundValue:
     """What was found of one parameter.
 
     Attributes:
@@ -82,15 +82,15 @@ class SysidOutcome:
         seconds: of the processor.
     """
 
-    trial: Trial
+    trial: MachineTrial
     what: str
     verdict: str
-    found: tuple[Found, ...]
+    found: tuple[FoundValue, ...]
     rollouts: int
     seconds: float
 
 
-def outcomes_of(trial: Trial) -> list[SysidOutcome]:
+def outcomes_of(trial: MachineTrial) -> list[SysidOutcome]:
     """All that comes of a trial."""
     machine = MACHINES[trial.machine]
     if trial.section == "untold":
@@ -112,12 +112,12 @@ def _source(log: ModelLog, folder: str) -> ModelSource:
     return ModelSource(path, log.tune)
 
 
-def _tuned(trial: Trial, log: ModelLog, what: str = "") -> SysidOutcome:
+def _tuned(trial: MachineTrial, log: ModelLog, what: str = "") -> SysidOutcome:
     with tempfile.TemporaryDirectory() as folder:
         began_s = time.process_time()
         tuning = tune_episode(log.episode, Options(source=_source(log, folder)))
         seconds = time.process_time() - began_s
-    found: list[Found] = []
+    found: list[FoundValue] = []
     if tuning.trace is not None and tuning.trace.fit is not None:
         fit: SimulatorFit = tuning.trace.fit.detail
         untold = {one.name for one in fit.untold}
@@ -126,7 +126,7 @@ def _tuned(trial: Trial, log: ModelLog, what: str = "") -> SysidOutcome:
         ):
             low, high = one.training_range
             found.append(
-                Found(
+                FoundValue(
                     one.name,
                     np.nan if what else log.truth[one.name],
                     float(value),
@@ -139,12 +139,12 @@ def _tuned(trial: Trial, log: ModelLog, what: str = "") -> SysidOutcome:
     return SysidOutcome(trial, what, tuning.verdict, tuple(found), tuning.rollouts, seconds)
 
 
-def _by_toolbox(trial: Trial, log: ModelLog) -> SysidOutcome:
+def _by_toolbox(trial: MachineTrial, log: ModelLog) -> SysidOutcome:
     from analysis.evaluation.sysid.baseline import toolbox_answer
 
     answer = toolbox_answer(log, tunes_start=True)
     found = tuple(
-        Found(address, truth, answer.values[address], *answer.intervals[address], np.nan)
+        FoundValue(address, truth, answer.values[address], *answer.intervals[address], np.nan)
         for address, truth in log.truth.items()
     )
     return SysidOutcome(trial, "", "", found, answer.rollouts, answer.seconds)
@@ -154,7 +154,7 @@ _STARTS = 20
 """Random places in the ranges from which the network makes its first step."""
 
 
-def _first_steps(trial: Trial, log: ModelLog) -> SysidOutcome:
+def _first_steps(trial: MachineTrial, log: ModelLog) -> SysidOutcome:
     """One step of the network from each of many random starts: a row a start and parameter."""
     from analysis.estimators.tunenet import residual_of
     from analysis.selection import Selection
@@ -170,7 +170,7 @@ def _first_steps(trial: Trial, log: ModelLog) -> SysidOutcome:
         model = problem.train()
         seconds = time.process_time() - began_s
     rng = np.random.default_rng((trial.seed, 77))
-    found: list[Found] = []
+    found: list[FoundValue] = []
     for _ in range(_STARTS):
         start = np.array([rng.uniform(*one.training_range) for one in parameters])
         seen = problem.evaluate(start).observation.values
@@ -178,13 +178,13 @@ def _first_steps(trial: Trial, log: ModelLog) -> SysidOutcome:
         for one, value in zip(parameters, problem.clamp(stepped), strict=True):
             low, high = one.training_range
             row = (one.name, log.truth[one.name], float(value), np.nan, np.nan, high - low)
-            found.append(Found(*row))
+            found.append(FoundValue(*row))
     return SysidOutcome(trial, "", "", tuple(found), ROLLOUTS, seconds)
 
 
 def trials(
     sections: Sequence[str], seeds: Sequence[int], logs: int, noises: Sequence[float]
-) -> list[Trial]:
+) -> list[MachineTrial]:
     """All of them: `logs` a machine and section; a tenth of them for the network.
 
     Args:
@@ -193,7 +193,7 @@ def trials(
         logs: for each seed and machine.
         noises: times the usual one, of the section "tuned".
     """
-    found: list[Trial] = []
+    found: list[MachineTrial] = []
     for machine in range(len(MACHINES)):
         for seed in seeds:
             own = range(seed * 1_000_000, seed * 1_000_000 + logs)
@@ -203,5 +203,5 @@ def trials(
                     continue
                 for noise in noises if section == "tuned" else (1.0,):
                     chosen = few if section == "network" else own
-                    found += [Trial(section, machine, one, noise) for one in chosen]
+                    found += [MachineTrial(section, machine, one, noise) for one in chosen]
     return found

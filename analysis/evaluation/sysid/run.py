@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from analysis.evaluation.sysid.outcomes import SysidOutcome, Trial, outcomes_of, trials
+from analysis.evaluation.sysid.outcomes import MachineTrial, SysidOutcome, outcomes_of, trials
 from analysis.evaluation.sysid.targets import MACHINES
 from analysis.processes import Piece, parallel_map
 from tunenet_logs.terminal import Progress
@@ -42,5 +42,5 @@ def sysid_sections(
         yield section, [one for some in found for one in some]
 
 
-def _name(trial: Trial) -> str:
+def _name(trial: MachineTrial) -> str:
     return f"{MACHINES[trial.machine].name} {trial.seed}"

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from analysis.evaluation.sysid.outcomes import Found, SysidOutcome
+from analysis.evaluation.sysid.outcomes import FoundValue, SysidOutcome
 from analysis.evaluation.sysid.run import SysidOrder
 from analysis.evaluation.sysid.targets import MACHINES
 from analysis.evaluation.text import seeds_in_words, table_line
@@ -32,7 +32,7 @@ def sysid_table(section: str, outcomes: Sequence[SysidOutcome], order: SysidOrde
 
 def groups(
     outcomes: Sequence[SysidOutcome],
-) -> Iterable[tuple[str, float, str, list[SysidOutcome], list[Found]]]:
+) -> Iterable[tuple[str, float, str, list[SysidOutcome], list[FoundValue]]]:
     """Machine, noise, address, the logs, and what was found of the parameter in each."""
     keys = dict.fromkeys(
         (one.trial.machine, one.trial.noise, found.address)
@@ -45,7 +45,7 @@ def groups(
         yield MACHINES[machine].name, noise, address, logs, found
 
 
-def errors_of(found: Sequence[Found]) -> np.ndarray:
+def errors_of(found: Sequence[FoundValue]) -> np.ndarray:
     """Of the values, shape (N,)."""
     return np.array([abs(one.value - one.truth) for one in found])
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from analysis.sysid.covariance import covariance
-from analysis.sysid.gauss_newton import GaussNewton, Solution
+from analysis.sysid.gauss_newton import RolloutLeastSquares, Solution
 from tests.analysis.sysid.toy import SECONDS, Shape, line, parameter, run_of, target_of
 from tunenet_logs.arrays import Array
 
@@ -18,7 +18,7 @@ def solved(shape: Shape, truth: list[float], *, low: float = -5.0) -> Solution:
     seen = shape(np.array(truth)) + NOISE * rng.normal(size=len(SECONDS))
     parameters = tuple(parameter(f"p{number}", low) for number in range(len(truth)))
     start = np.array([one.initial for one in parameters])
-    return GaussNewton(run_of(shape), target_of(seen), parameters).solve(start)
+    return RolloutLeastSquares(run_of(shape), target_of(seen), parameters).solve(start)
 
 
 def decay(values: Array) -> Array:
@@ -62,7 +62,7 @@ def test_rollouts_that_diverge_end_somewhere(lost: slice):
     rng = np.random.default_rng(0)
     seen = line(np.array([1.0, -2.0])) + NOISE * rng.normal(size=len(SECONDS))
     parameters = (parameter("a"), parameter("b"))
-    steps = GaussNewton(run_of(shape), target_of(seen), parameters)
+    steps = RolloutLeastSquares(run_of(shape), target_of(seen), parameters)
     solution = steps.solve(np.array([4.0, 0.0]) if lost.start else np.zeros(2))
     assert np.isfinite(solution.values).all()
     if lost.start:

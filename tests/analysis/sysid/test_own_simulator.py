@@ -1,4 +1,4 @@
-"""Machines that SciPy integrates are found in their logs, by their owners' models and by objects."""
+"""Machines that SciPy integrates, found in their logs by their owners' models and by objects."""
 
 from __future__ import annotations
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from analysis.sysid.compared import Column, Compared, noise_of
+from analysis.sysid.compared import Column, ComparedColumns, noise_of
 from analysis.sysid.gauss_newton import Run
 from recorders.simulators.base import Parameter
 from tunenet_logs.arrays import Array
@@ -15,9 +15,9 @@ SECONDS = np.linspace(0, 10, 400)
 Shape = Callable[[Array], Array]
 
 
-def target_of(values: Array) -> Compared:
+def target_of(values: Array) -> ComparedColumns:
     spread = float(np.std(values))
-    return Compared(0, (Column("s", "c", "m", SECONDS, values, noise_of(values), spread),))
+    return ComparedColumns(0, (Column("s", "c", "m", SECONDS, values, noise_of(values), spread),))
 
 
 def run_of(shape: Shape) -> Run:
