@@ -19,6 +19,9 @@ _REJECT_SHARE = 0.5
 _GOOD_SHARE = 0.05
 """Of a column's spread, that a simulator may leave."""
 
+_STILL_SHARE = 1e-2
+"""Of what columns of its unit vary by, that one counts as varying by at least."""
+
 _NOISES = 1.3
 """Times the noise that a column may keep where that is more than its share."""
 
@@ -50,14 +53,13 @@ def recording_checks(target: ComparedColumns) -> tuple[Check, ...]:
 def match_check(target: ComparedColumns, residuals: Array) -> Check:
     """Whether what the simulator leaves of each column is its noise, or little of its motion."""
     left = target.rms(residuals)
-    share, worst = 0.0, target.columns[0]
-    spreads = np.array([max(column.spread, 1e-12) for column in target.columns])
+    spreads = np.array([_spread(target, column.unit, column.spread) for column in target.columns])
     noises = np.array([column.noise for column in target.columns])
     limits = np.maximum(_NOISES * noises / spreads, _GOOD_SHARE)
     over = left / spreads / limits
     place = int(np.argmax(over))
     worst = target.columns[place]
-    share = left[place] / max(worst.spread, 1e-12)
+    share = left[place] / spreads[place]
     detail = (
         f"{100 * share:.3g} % of how much {worst.label} varies is left, rms (wanted: under "
         f"{100 * limits[place]:.3g} %)"
@@ -69,6 +71,12 @@ def match_check(target: ComparedColumns, residuals: Array) -> Check:
         fatal=share > _REJECT_SHARE,
         advice=_WRONG_MODEL,
     )
+
+
+def _spread(target: ComparedColumns, unit: str, spread: float) -> float:
+    """How much a column varies; of one that stands still, a little of what its like vary by."""
+    most = max(column.spread for column in target.columns if column.unit == unit)
+    return max(spread, _STILL_SHARE * most, 1e-12)
 
 
 def fit_checks(found: SimulatorFit) -> tuple[Check, ...]:
