@@ -45,6 +45,7 @@ def covariance(
     white = slopes.T @ (weights[:, None] * slopes)
     found = bread @ (_at_least(meat, white) + np.diag(precision)) @ bread
     independent = len(scores) / (1 + span)
+    found *= independent / max(independent - len(parameters), 1.0)
     return found * np.outer(scales, scales), independent
 
 

@@ -134,7 +134,9 @@ def fit_simulator(
         moved = np.where(np.isfinite(moved), moved, 0.0)
         shift = np.abs(_moved_by(moved, solution, target, parameters))
     wide = sd if shift is None else np.hypot(sd, shift)
-    wide = wide if unresolved is None else np.hypot(wide, unresolved)
+    if unresolved is not None:  # the others follow what the step leaves unsure of one
+        followed = cov * (unresolved / np.diag(cov))
+        wide = np.sqrt(wide**2 + np.sum(followed**2, axis=1))
     half95 = float(t.ppf(0.975, max(independent - len(sd), 3.0))) * wide
     low, high = np.array([one.bounds for one in parameters]).T
     ends = np.stack([solution.values - half95, solution.values + half95])
