@@ -76,7 +76,7 @@ bench: .venv/developing
 samples: .venv/installed
 	sh sample_logs/record.sh $(BIN)/tunenet-record
 	sh sample_logs/campaign/record.sh $(BIN)/tunenet-record
-	$(BIN)/python -m analysis.evaluation.sysid.samples sample_logs/models
+	$(BIN)/python -m analysis.evaluation.sysid.samples
 
 clean:
 	rm -rf .venv demo build dist *.egg-info

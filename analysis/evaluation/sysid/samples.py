@@ -1,11 +1,10 @@
 """Writes the sample logs of machines and their owners' models again.
 
-`python -m analysis.evaluation.sysid.samples sample_logs/models` makes the same bytes each time.
+`python -m analysis.evaluation.sysid.samples` writes `sample_logs/models`, the same bytes each time.
 """
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 from analysis.api import save_episode
@@ -32,4 +31,4 @@ def _line(text: str) -> str:
 
 
 if __name__ == "__main__":
-    write_samples(Path(sys.argv[1]))
+    write_samples(Path("sample_logs/models"))
