@@ -53,7 +53,7 @@ OTHER_OPTIONS: Mapping[str, str] = {
         "programs that send pictures",
     ),
     **dict.fromkeys(
-        ("--dry-run", "--ignore-installed", "--no-binary", "--no-deps", "--only-binary",
+        ("--ignore-installed", "--no-binary", "--no-deps", "--only-binary",
          "--platform", "--python-version", "--target"),
         "pip",
     ),
