@@ -68,8 +68,8 @@ _EXAMPLES = """\
   tunenet-eval bounce-shot --seeds 1 --targets 12    (a few minutes)
   tunenet-eval bounce-shot --seeds 1 --campaign shots   (keeps logs, tunings, outcomes)
   tunenet-eval engines --seeds 1                     (a few minutes)
-  tunenet-eval sysid --seeds 1 --targets 20          (a quarter of an hour)
-  tunenet-eval sysid --seeds 1 --sections tuned      (over an hour on two cores)"""
+  tunenet-eval sysid --targets 10 --sections tuned   (ten logs of each machine)
+  tunenet-eval sysid                                 (hours on two cores)"""
 
 _METHODS_HELP = f"""\
 methods of the paper: {", ".join(METHODS[:6])}
