@@ -23,6 +23,10 @@ _SIXTH_DIFFERENCES = 20.0
 
 _MAD_TO_SD = 1.4826
 
+_JUMPY = 0.25
+"""Of a column's spread: one that changes more from sample to sample jumps, as a servo's efforts
+with each command, or is noise."""
+
 
 @dataclass(frozen=True, eq=False)
 class Column:
@@ -50,6 +54,11 @@ class Column:
     def label(self) -> str:
         """As a title has it."""
         return f"{self.signal} {self.name}"
+
+    @property
+    def is_jumpy(self) -> bool:
+        """Whether it jumps, so that its `noise` is no noise alone."""
+        return self.noise > _JUMPY * self.spread
 
 
 @dataclass(frozen=True, eq=False)

@@ -186,11 +186,13 @@ def _walked(steps: RolloutLeastSquares, solution: Solution, cov: Array, tuned: i
 
 
 def _is_good(solution: Solution, target: ComparedColumns) -> bool:
-    """Whether every column is met about as well as its noise lets it."""
+    """Whether every column is met about as well as its noise lets it, of those that tell it."""
     left = target.rms(solution.residuals, solution.chosen)
+    every = all(column.is_jumpy for column in target.columns)
     return all(
         rms <= max(_GOOD * column.noise, _CLOSE_SHARE * column.spread)
         for rms, column in zip(left, target.columns, strict=True)
+        if every or not column.is_jumpy
     )
 
 

@@ -22,7 +22,7 @@ _MOST_STEPS, _MOST_DAMPINGS = 25, 7
 _WEIGHED, _SAME_NOISE = 3, 0.1
 """How often columns are weighed by what is left of them, and by how much that may still change."""
 
-_COARSE_SHARE = 0.03
+_COARSE_SHARE, _JUMPY_FACTOR = 0.03, 5.0
 _LONGEST_STEP = 0.5
 """Of a parameter's range."""
 
@@ -35,6 +35,9 @@ _FIRST_STEP, _LEAST_STEP, _MOST_STEP = 3e-3, 1e-5, 2e-2
 _CHANGE = 0.5
 """Once it is known, a step changes what is seen by this many noises, rms: contacts and dry friction
 make rollouts rough where they are looked at more closely."""
+
+_NARROW = 1 / 8
+"""Of that, where no step helps."""
 
 _NEAR = 0.5
 """Differences within which slopes stay as they are."""
@@ -114,6 +117,7 @@ class RolloutLeastSquares:
         self._most = np.where(has_prior, 1.0, _MOST_STEP) * self._scales
         self._steps = np.where(has_prior, 0.2, _FIRST_STEP) * self._scales
         self._known: tuple[Array, Array, bool] | None = None
+        self._width = 1.0
 
     def residuals(self, values: Array) -> Array:
         """Simulated less observed at values of shape (N, P), shape (N, M)."""
@@ -187,11 +191,13 @@ class RolloutLeastSquares:
     def coarse(self) -> Array:
         """What each column may be off far from the solution, shape (C,): alike in all of them.
 
-        Those that jump, as a servo's efforts with each command, count less: whether their jumps
-        meet says nothing of how far off a delay is.
+        Those that jump do not count where others do: whether their jumps meet says nothing of how
+        far off a delay is.
         """
-        jumps = np.array([column.noise for column in self.target.columns])
-        return np.maximum(np.maximum(self._floor, _COARSE_SHARE * self._spread), jumps)
+        noise = np.array([column.noise for column in self.target.columns])
+        jumpy = np.array([column.is_jumpy for column in self.target.columns])
+        off = np.maximum(np.maximum(self._floor, _COARSE_SHARE * self._spread), noise)
+        return off if jumpy.all() else np.where(jumpy, _JUMPY_FACTOR * off, off)
 
     def solve(self, start: Array) -> Solution:
         """Step from values of shape (P,) until steps are small beside what the noise allows.
@@ -199,7 +205,7 @@ class RolloutLeastSquares:
         All columns count alike at first; then each by what is left of it.
         """
         values = np.clip(start, *self._bounds)
-        path = [values]
+        path, self._width = [values], 1.0
         residuals = self.residuals(values[None])[0]
         noise = self.coarse()
         if np.any(self.left(residuals) > noise):
@@ -229,19 +235,26 @@ class RolloutLeastSquares:
             normal, slope = self._equations(values, residuals, slopes, noise)
             sd = np.sqrt(np.diag(np.linalg.inv(normal))) * self._scales
             seen = np.sqrt(np.diag(normal) / self.chosen.sum()) / self._scales
-            self._steps = np.clip(_CHANGE / seen, self._least, self._most)
-            for _ in range(_MOST_DAMPINGS):
+            self._steps = np.clip(_CHANGE * self._width / seen, self._least, self._most)
+            tried, off, new = values, residuals, cost
+            for tries in range(_MOST_DAMPINGS):
                 step = self._step(values, normal, slope, damping)
                 tried = np.clip(values + step, *self._bounds)
                 if np.all(np.abs(tried - values) < _STILL * sd):
-                    return values, residuals
+                    if not tries:
+                        return values, residuals
+                    break
                 off = self.residuals(tried[None])[0]
                 new = self.cost(off, tried, noise)
                 if new < cost:
                     break
                 damping = max(damping, 1e-3) * 10
-            else:
-                return values, residuals
+            if new >= cost:  # differences over a kink point uphill
+                if not is_central or self._width < 1:
+                    return values, residuals
+                self._width, self._known, damping = _NARROW, None, 1e-4
+                self._steps = _NARROW * self._steps
+                continue
             damping = max(damping / 30, 1e-7)
             moved, gain = np.abs(tried - values), cost - new
             values, residuals, cost = tried, off, new

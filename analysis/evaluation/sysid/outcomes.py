@@ -185,7 +185,8 @@ def _first_steps(trial: MachineTrial, log: ModelLog) -> SysidOutcome:
 def trials(
     sections: Sequence[str], seeds: Sequence[int], logs: int, noises: Sequence[float]
 ) -> list[MachineTrial]:
-    """All of them: `logs` a machine and section; a tenth of them for the network.
+    """All of them: `logs` a machine and section; a twentieth of them for the network,
+    a fifth where the noise is another.
 
     Args:
         sections: which.
@@ -197,11 +198,12 @@ def trials(
     for machine in range(len(MACHINES)):
         for seed in seeds:
             own = range(seed * 1_000_000, seed * 1_000_000 + logs)
-            few = own[: max(1, logs // 20)]
+            fewer, few = own[: max(1, logs // 5)], own[: max(1, logs // 20)]
             for section in ("tuned", "untold", "wrong", "toolbox", "network"):
                 if section not in sections:
                     continue
                 for noise in noises if section == "tuned" else (1.0,):
-                    chosen = few if section == "network" else own
+                    chosen = own if noise == 1.0 else fewer
+                    chosen = few if section == "network" else chosen
                     found += [MachineTrial(section, machine, one, noise) for one in chosen]
     return found
