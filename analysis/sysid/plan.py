@@ -26,6 +26,8 @@ def print_plan(log: Path, options: Options) -> None:
         print(f"  {words}")
     for words in connected.unused:
         print(f"  not used: {words}")
+    for words in connected.doubts:
+        print(f"  doubtful: {words}")
     for one in parameters:
         low, high = one.training_range
         unit = "" if one.unit == "1" else f" {one.unit}"
