@@ -16,6 +16,8 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as FolderWriter
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from tunenet_logs.arrays import Array
+
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 NUMBERS = "std_msgs/msg/Float64MultiArray"
 NUMBER = "std_msgs/msg/Float64"
@@ -63,7 +65,10 @@ def numbers(*values: float) -> dict[str, Any]:
 
 
 def pose(
-    stamp_ns: int, position_m: Sequence[float], turn: Sequence[float], frame: str = ""
+    stamp_ns: int,
+    position_m: Sequence[float] | Array,
+    turn: Sequence[float] | Array,
+    frame: str = "",
 ) -> dict[str, Any]:
     """A position, and an orientation as a quaternion x, y, z, w."""
     where = dict(zip("xyz", map(float, position_m), strict=True))
@@ -72,7 +77,11 @@ def pose(
 
 
 def transform(
-    stamp_ns: int, position_m: Sequence[float], turn: Sequence[float], frame: str, child: str
+    stamp_ns: int,
+    position_m: Sequence[float] | Array,
+    turn: Sequence[float] | Array,
+    frame: str,
+    child: str,
 ) -> dict[str, Any]:
     """Where one frame is in another."""
     both = pose(stamp_ns, position_m, turn)["pose"]

@@ -64,7 +64,7 @@ def initial_state(model: Any, sensed: Sequence[SensedSignal], stamp_ns: int) -> 
 
 
 def _turns(model: Any, sensed: Sequence[SensedSignal], stamp_ns: int) -> dict[int, InitialTurn]:
-    """How bodies with a free joint are turned, by that joint; of several signals the first tells."""
+    """How bodies with a free joint are turned, by that joint, as the first signal of each says."""
     found: dict[int, InitialTurn] = {}
     for one in sensed:
         if one.sensors[0].kind != "framexaxis":

@@ -95,9 +95,10 @@ def _place(signal: Signal, model: Any) -> tuple[bool, str]:
 def _sites_by_sensor(model: Any) -> dict[str, str]:
     """The site of each sensor of forces, by its name, with and without `force` in it."""
     kinds = mujoco().mjtSensor
+    wanted = (int(kinds.mjSENS_FORCE), int(kinds.mjSENS_TORQUE))
     found: dict[str, str] = {}
     for number in range(model.nsensor):
-        if model.sensor_type[number] not in (kinds.mjSENS_FORCE, kinds.mjSENS_TORQUE):
+        if int(model.sensor_type[number]) not in wanted:
             continue
         name = model.sensor(number).name
         site = model.site(int(model.sensor_objid[number])).name
