@@ -74,8 +74,9 @@ class TuneOptions(ReadingOptions, total=False):
         parameters: what of it is tuned, "KIND/NAME.FIELD" with "=LOW:HIGH" where the range is not
             the usual one, such as "joint/elbow.damping=0:5"; or YAML files with them.
         mapping: what of the log is what of the model, where their names differ: a signal, a topic
-            or "SIGNAL.COLUMN" -> "joint/NAME", "actuator/NAME", "body/NAME", "commands",
-            "states", or "-" to leave it out.
+            or "SIGNAL.COLUMN" -> "joint/NAME", "actuator/NAME", "body/NAME", "site/NAME" (with a
+            "-" before it, a wrench of the other sign), "commands", "states", or "-" to leave it
+            out.
     """
 
     task: str | None

@@ -51,7 +51,9 @@ def tune_log(path: Path, options: Options) -> Tuning:
     """
     watch = Stopwatch()
     try:
-        episode = plausible(measured(read_episode(path, options.selection.reading)))
+        episode = read_episode(path, options.selection.reading)
+        # What a simulator is driven by is what others must not take for a motion.
+        episode = plausible(episode if options.source is not None else measured(episode))
     except TuneNetError as error:
         watch.lap("read")
         reason = str(error).removeprefix(f"{path}: ")

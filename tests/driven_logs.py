@@ -14,13 +14,17 @@ from rosbags.interfaces import Nodetype
 from rosbags.rosbag1 import Writer as BagWriter
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as FolderWriter
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from tunenet_logs.arrays import Array
 
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 NUMBERS = "std_msgs/msg/Float64MultiArray"
 NUMBER = "std_msgs/msg/Float64"
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 JOINT_STATE = "sensor_msgs/msg/JointState"
+POSE = "geometry_msgs/msg/PoseStamped"
+TF = "tf2_msgs/msg/TFMessage"
 
 START_NS = 1_700_000_000_000_000_000
 """When the first message of a log is received."""
@@ -34,9 +38,9 @@ def time_of(stamp_ns: int) -> dict[str, int]:
     return {"sec": stamp_ns // 10**9, "nanosec": stamp_ns % 10**9}
 
 
-def header(stamp_ns: int) -> dict[str, Any]:
+def header(stamp_ns: int, frame: str = "") -> dict[str, Any]:
     """A header."""
-    return {"stamp": time_of(stamp_ns), "frame_id": ""}
+    return {"stamp": time_of(stamp_ns), "frame_id": frame}
 
 
 def point(after_ns: int, position: Sequence = (), velocity: Sequence = (), effort: Sequence = ()):
@@ -60,11 +64,38 @@ def numbers(*values: float) -> dict[str, Any]:
     return {"layout": {"dim": [], "data_offset": 0}, "data": list(values)}
 
 
-def wrench(stamp_ns: int, force_n: Sequence[float], torque_nm: Sequence[float]) -> dict[str, Any]:
+def pose(
+    stamp_ns: int,
+    position_m: Sequence[float] | Array,
+    turn: Sequence[float] | Array,
+    frame: str = "",
+) -> dict[str, Any]:
+    """A position, and an orientation as a quaternion x, y, z, w."""
+    where = dict(zip("xyz", map(float, position_m), strict=True))
+    how = dict(zip("xyzw", map(float, turn), strict=True))
+    return {"header": header(stamp_ns, frame), "pose": {"position": where, "orientation": how}}
+
+
+def transform(
+    stamp_ns: int,
+    position_m: Sequence[float] | Array,
+    turn: Sequence[float] | Array,
+    frame: str,
+    child: str,
+) -> dict[str, Any]:
+    """Where one frame is in another."""
+    both = pose(stamp_ns, position_m, turn)["pose"]
+    moved = {"translation": both["position"], "rotation": both["orientation"]}
+    return {"header": header(stamp_ns, frame), "child_frame_id": child, "transform": moved}
+
+
+def wrench(
+    stamp_ns: int, force_n: Sequence[float], torque_nm: Sequence[float], frame: str = ""
+) -> dict[str, Any]:
     """A force and a torque."""
     parts = {"force": force_n, "torque": torque_nm}
     axes = {name: dict(zip("xyz", values, strict=True)) for name, values in parts.items()}
-    return {"header": header(stamp_ns), "wrench": axes}
+    return {"header": header(stamp_ns, frame), "wrench": axes}
 
 
 def write_cdr(path: Path, sent: Sequence[Sent]) -> Path:
@@ -85,6 +116,7 @@ def write_cdr(path: Path, sent: Sequence[Sent]) -> Path:
 def write_ros1(path: Path, sent: Sequence[Sent]) -> Path:
     """A bag of ROS 1."""
     store = get_typestore(Stores.ROS1_NOETIC)
+    store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
     with BagWriter(path) as writer:
         connections: dict[str, Any] = {}
         for topic, kind, at_ns, fields in sent:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from heapq import heappop, heappush
 
@@ -13,10 +12,9 @@ from numpy.typing import NDArray
 from tunenet_logs.clock_jumps import filmed_part
 from tunenet_logs.episode import Signal
 from tunenet_logs.formats.base import BeyondLimitError
-from tunenet_logs.formats.message_types import JointSample, PictureSample, PositionSample
+from tunenet_logs.formats.message_types import JointSample, PictureSample
 from tunenet_logs.sample_order import (
     jumps_alone,
-    order_samples,
     sorted_stamps,
     trusts_header,
 )
@@ -35,70 +33,14 @@ _MOST_REORDERED = 16
 
 
 @dataclass
-class _SampleBuffer:
-    """Samples with the same columns, flat: a log of an hour must fit.
+class _SampleStamps:
+    """When samples with the same columns were taken.
 
     A header stamp goes in first: it may not fit, where it lies beyond the year 2262.
     """
 
     header_ns: array[int] = field(default_factory=lambda: array("q"))
     log_ns: array[int] = field(default_factory=lambda: array("q"))
-    values: array[float] = field(default_factory=lambda: array("d"))
-
-
-@dataclass(eq=False)
-class PositionRows:
-    """Positions of one topic, apart by body and frame.
-
-    Attributes:
-        topic: its name.
-        unit: of the signals.
-        scale: what makes it of the messages' own.
-    """
-
-    topic: str
-    unit: str = "m"
-    scale: float = 1.0
-    _rows: dict[tuple[str, str], _SampleBuffer] = field(default_factory=dict, init=False)
-
-    def add(self, log_ns: int, positions: Iterable[PositionSample]) -> None:
-        """The positions of one message.
-
-        Raises:
-            BeyondLimitError: more bodies than a topic may have.
-            ValueError, OverflowError: they make no sense.
-        """
-        for stamp_ns, name, frame, x, y, z in positions:
-            rows = self._rows.get((name, frame))
-            if rows is None:
-                if len(self._rows) >= _MOST_NAMES:
-                    raise BeyondLimitError(f"over {_MOST_NAMES} names")
-                rows = self._rows[name, frame] = _SampleBuffer()
-            rows.header_ns.append(stamp_ns)
-            rows.log_ns.append(log_ns)
-            rows.values.extend((x, y, z))
-
-    def signals(self) -> tuple[list[Signal], list[str]]:
-        """A signal for each body and frame, and what was repaired."""
-        found: list[Signal] = []
-        notes: list[str] = []
-        taken: set[str] = set()
-        for (name, frame), rows in self._rows.items():
-            full = f"{self.topic}.{name}" if name else self.topic
-            if full in taken:
-                full = f"{full}@{frame}"
-                notes.append(f"{full}: {name} has a place in several frames, each is by itself")
-            taken.add(full)
-            keep, stamps_ns, repairs = order_samples(
-                np.frombuffer(rows.header_ns, np.int64), np.frombuffer(rows.log_ns, np.int64)
-            )
-            values = np.frombuffer(rows.values, np.float64).reshape(-1, 3)[keep]
-            values[~np.isfinite(values)] = np.nan
-            if self.scale != 1.0:
-                values = values * self.scale
-            found.append(Signal(full, stamps_ns, values, ("x", "y", "z"), self.unit))
-            notes += [f"{full}: {repair}" for repair in repairs]
-        return found, notes
 
 
 @dataclass(eq=False)
@@ -106,7 +48,7 @@ class JointRows:
     """Joints of one topic: positions [rad], velocities [rad/s] and efforts [N·m], each a signal."""
 
     topic: str
-    _blocks: dict[tuple[str, ...], tuple[_SampleBuffer, tuple[array[float], ...]]] = field(
+    _blocks: dict[tuple[str, ...], tuple[_SampleStamps, tuple[array[float], ...]]] = field(
         default_factory=dict, init=False
     )
 
@@ -128,7 +70,7 @@ class JointRows:
                 raise BeyondLimitError(f"over {_MOST_NAMES} joints")
             if len(set(names)) < len(names):
                 raise ValueError("two joints have one name")
-            block = self._blocks[names] = (_SampleBuffer(), (array("d"), array("d"), array("d")))
+            block = self._blocks[names] = (_SampleStamps(), (array("d"), array("d"), array("d")))
         rows, (positions, velocities, efforts) = block
         width = 8 * len(names)
         if not {len(position), len(velocity), len(effort)} <= {0, width}:

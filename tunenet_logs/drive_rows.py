@@ -10,6 +10,7 @@ import numpy as np
 from tunenet_logs.episode import Signal
 from tunenet_logs.formats.base import BeyondLimitError, UnusableError
 from tunenet_logs.formats.message_types import NumbersSample, WrenchSample
+from tunenet_logs.one_frame import OneFrame
 from tunenet_logs.sample_order import order_samples, sorted_stamps
 
 _MOST_COLUMNS = 1000
@@ -79,6 +80,7 @@ class WrenchRows:
     _header_ns: array[int] = field(default_factory=lambda: array("q"), init=False)
     _log_ns: array[int] = field(default_factory=lambda: array("q"), init=False)
     _values: array[float] = field(default_factory=lambda: array("d"), init=False)
+    _frames: OneFrame = field(default_factory=OneFrame, init=False)
 
     _QUANTITIES = (("force", "N"), ("torque", "N·m"))
     """Name and unit of each signal, in the order of a `WrenchSample`."""
@@ -92,7 +94,8 @@ class WrenchRows:
         Raises:
             OverflowError: its stamp lies beyond the year 2262.
         """
-        stamp_ns, *six = wrench
+        stamp_ns, frame, *six = wrench
+        self._frames.add(frame)
         self._header_ns.append(stamp_ns)
         self._log_ns.append(log_ns)
         self._values.extend(six)
@@ -105,7 +108,15 @@ class WrenchRows:
         values = np.frombuffer(self._values, np.float64).reshape(-1, 6)[keep]
         values[~np.isfinite(values)] = np.nan
         found = [
-            Signal(f"{self.topic}.{label}", stamps_ns, three, ("x", "y", "z"), unit, drives=True)
+            Signal(
+                f"{self.topic}.{label}",
+                stamps_ns,
+                three,
+                ("x", "y", "z"),
+                unit,
+                drives=True,
+                frame=self._frames.name,
+            )
             for (label, unit), three in zip(
                 self._QUANTITIES, (values[:, :3], values[:, 3:]), strict=True
             )

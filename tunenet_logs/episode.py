@@ -39,6 +39,7 @@ class Signal:
         counts_frames: whether the stamps count frames, `FRAME_NS` each, whose rate is not known.
         drives: whether it is what drives something, a command to it or a force on it, and not how
             that moves; see `measured`.
+        frame: in which its values are, as the log calls it; "" where it does not say.
 
     Raises:
         ValueError: shapes disagree, or the stamps do not increase.
@@ -51,6 +52,7 @@ class Signal:
     unit: str
     counts_frames: bool = False
     drives: bool = False
+    frame: str = ""
 
     def __post_init__(self) -> None:
         stamps = np.array(self.stamps_ns, dtype=np.int64, order="C")  # copies

@@ -18,8 +18,8 @@ from tunenet_logs.formats.any_messages import AnyType, Steps, structure_of
 from tunenet_logs.formats.base import RawChannel
 from tunenet_logs.formats.by_shape import stamp_steps, unit_of
 from tunenet_logs.formats.exports.build import frame_stamps, position_signal
-from tunenet_logs.formats.message_types import time_ns
 from tunenet_logs.formats.read_options import ReadOptions
+from tunenet_logs.formats.stamps import time_ns
 from tunenet_logs.formats.structure import (
     NUMBERS,
     NotThereError,

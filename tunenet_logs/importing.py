@@ -16,6 +16,7 @@ from tunenet_logs.formats.read_options import AS_IT_SAYS, ReadOptions
 from tunenet_logs.import_notes import is_impacts, notes_of, notes_of_frames
 from tunenet_logs.jpeg import compressed
 from tunenet_logs.measured import measured
+from tunenet_logs.position_rows import ORIENTATION
 from tunenet_logs.reader import read_episode
 from tunenet_logs.terminal import Progress
 from tunenet_logs.writer import EpisodeWriter
@@ -31,6 +32,8 @@ _MOST_REASONS = 3
 
 Write = Callable[[EpisodeWriter], None]
 """Writes one message."""
+
+_DRIVES = "a command or a force, which stays in the log that is imported: tune a model from that"
 
 _NAME_ANOTHER = "name a log that does, or say which column is which with --columns"
 
@@ -93,7 +96,9 @@ def import_log(
         if not writer.accepted:
             raise LogError(_why_nothing(path, episode), _NAME_ANOTHER)
     left_out = [
-        f"{channel.topic}: {channel.skipped}" for channel in episode.channels if channel.skipped
+        f"{channel.topic}: {_DRIVES if channel.drives else channel.skipped}"
+        for channel in episode.channels
+        if channel.skipped
     ]
     return Imported(writer.written, tuple(left_out), tuple(topics.renamed), episode.warnings)
 
@@ -157,7 +162,8 @@ def _signal_streams(
         if signal.is_position or is_impacts(signal):
             topic = topics.claim(name)
             said |= notes_of(signal, topic)
-            yield _poses(topic, signal) if signal.is_position else _impacts(topic, signal)
+            turns = episode.signals.get(f"{name}.{ORIENTATION}")
+            yield _poses(topic, signal, turns) if signal.is_position else _impacts(topic, signal)
     for name, parts in joint_topics(episode).items():
         topic = topics.claim(name)
         for part, signal in parts.items():
@@ -175,13 +181,21 @@ def joint_topics(episode: Episode) -> dict[str, dict[str, Signal]]:
     return joints
 
 
-def _poses(topic: str, signal: Signal) -> Iterator[tuple[int, str, Write]]:
-    for stamp_ns, position_m in zip(signal.stamps_ns.tolist(), signal.values, strict=True):
+def _poses(topic: str, signal: Signal, turns: Signal | None) -> Iterator[tuple[int, str, Write]]:
+    frame = signal.frame or "world"
+    quaternions = np.tile(messages.NOT_TURNED, (len(signal.values), 1))
+    if turns is not None:
+        quaternions = turns.values
+    rows = zip(signal.stamps_ns.tolist(), signal.values, quaternions, strict=True)
+    for stamp_ns, position_m, quaternion in rows:
 
         def write(
-            writer: EpisodeWriter, stamp: int = stamp_ns, at: np.ndarray = position_m
+            writer: EpisodeWriter,
+            stamp: int = stamp_ns,
+            at: np.ndarray = position_m,
+            turn: np.ndarray = quaternion,
         ) -> None:
-            writer.write_pose(topic, stamp, at)
+            writer.write_pose(topic, stamp, at, turn, frame)
 
         yield stamp_ns, topic, write
 

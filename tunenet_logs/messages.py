@@ -106,12 +106,17 @@ def _time(stamp_ns: int) -> Any:
     return _type("builtin_interfaces/msg/Time")(sec=seconds, nanosec=nanoseconds)
 
 
-def pose(stamp_ns: int, frame_id: str, position_m: NDArray[np.float64]) -> Any:
-    """A PoseStamped without rotation at `position_m`, shape (3,)."""
-    x, y, z = (float(value) for value in position_m)
+NOT_TURNED = (0.0, 0.0, 0.0, 1.0)
+"""The quaternion x, y, z, w of no rotation."""
+
+
+def pose(stamp_ns: int, frame_id: str, position_m: ArrayLike, turn: ArrayLike = NOT_TURNED) -> Any:
+    """A PoseStamped at `position_m`, shape (3,), turned by a quaternion x, y, z, w."""
+    x, y, z = np.asarray(position_m, np.float64).tolist()
+    a, b, c, w = np.asarray(turn, np.float64).tolist()
     placed = _type("geometry_msgs/msg/Pose")(
         position=_type("geometry_msgs/msg/Point")(x=x, y=y, z=z),
-        orientation=_type("geometry_msgs/msg/Quaternion")(x=0.0, y=0.0, z=0.0, w=1.0),
+        orientation=_type("geometry_msgs/msg/Quaternion")(x=a, y=b, z=c, w=w),
     )
     return _type(POSE)(header=header(stamp_ns, frame_id), pose=placed)
 

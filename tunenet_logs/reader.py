@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from tunenet_logs.collect import JointRows, PictureStamps, PositionRows
+from tunenet_logs.collect import JointRows, PictureStamps
 from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame
 from tunenet_logs.errors import CHECK_DISK, COPY_AGAIN, LogError
 from tunenet_logs.formats import registry
@@ -26,6 +26,7 @@ from tunenet_logs.import_notes import restored
 from tunenet_logs.late_stamps import BY_ARRIVALS, STAMPS_NOTE
 from tunenet_logs.messages import INFO_RECORD
 from tunenet_logs.one_clock import jump_warnings
+from tunenet_logs.position_rows import PositionRows
 from tunenet_logs.topic_contents import DriveRows, ReadingPlan, TopicContents
 from tunenet_logs.unused_reading import unused_of_messages, unused_reading
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from tunenet_logs.by_hand import HandPicked
-from tunenet_logs.collect import JointRows, PictureStamps, PositionRows
+from tunenet_logs.collect import JointRows, PictureStamps
 from tunenet_logs.drive_rows import NumberRows, WrenchRows
 from tunenet_logs.episode import Channel, Signal
 from tunenet_logs.formats import registry
@@ -43,6 +43,7 @@ from tunenet_logs.formats.shape_messages import UNUSED, ShapeMessages, shape_mes
 from tunenet_logs.hand_rows import HandRows
 from tunenet_logs.messages import TASK_OUTCOME
 from tunenet_logs.planned_rows import PlannedRows, PointBudget
+from tunenet_logs.position_rows import PositionRows
 
 _LAST_NS = 2**63 - 1
 """The last stamp that fits int64: in the year 2262."""

@@ -86,9 +86,16 @@ class EpisodeWriter:
             self.discard()
             raise not_writable(path, error) from error
 
-    def write_pose(self, topic: str, stamp_ns: int, position_m: NDArray[np.float64]) -> None:
-        """Write a PoseStamped in frame "world" at `position_m`, shape (3,) [m]."""
-        data = messages.encode(messages.pose(stamp_ns, "world", position_m), messages.POSE)
+    def write_pose(
+        self,
+        topic: str,
+        stamp_ns: int,
+        position_m: NDArray[np.float64],
+        turn: ArrayLike = messages.NOT_TURNED,
+        frame: str = "world",
+    ) -> None:
+        """Write a PoseStamped at `position_m`, shape (3,) [m], and a quaternion x, y, z, w."""
+        data = messages.encode(messages.pose(stamp_ns, frame, position_m, turn), messages.POSE)
         self.write_message(topic, messages.POSE, stamp_ns, data)
 
     def write_frame(self, topic: str, frame: Frame, received_ns: int | None = None) -> None:

@@ -167,7 +167,8 @@ def _model_options(group: argparse._ArgumentGroup) -> None:
         action="append",
         metavar="SIGNAL=TARGET",
         help="what of the log is what of the model, where their names differ: a topic, a signal or "
-        "SIGNAL.COLUMN, and joint/NAME, actuator/NAME, body/NAME, commands, states, or - to leave "
+        "SIGNAL.COLUMN, and joint/NAME, actuator/NAME, body/NAME, site/NAME (with a - before it, "
+        "such as -site/NAME: a wrench of the child on its parent), commands, states, or - to leave "
         "it out. May be given several times",
     )
     add(

@@ -61,8 +61,9 @@ class SimulatorDetection:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Signals that are not used."""
-        return tuple(f"not used: {words}" for words in self.connected.unused)
+        """Signals that are not used, and those that may be meant otherwise."""
+        unused = (f"not used: {words}" for words in self.connected.unused)
+        return (*unused, *self.connected.doubts)
 
 
 @dataclass(frozen=True)

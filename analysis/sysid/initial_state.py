@@ -7,15 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from analysis.sysid.compared import noise_of
+from analysis.sysid.beginning import Samples, beginning
+from analysis.sysid.initial_turn import InitialTurn, initial_turn
 from recorders.simulators.base import Parameter
 from recorders.simulators.mujoco.library import mujoco
-from recorders.simulators.mujoco.model_simulator import InitialState, SensedSignal
-from tunenet_logs.arrays import Array
-
-_SECONDS, _MOST_SAMPLES, _LEAST_SAMPLES = 0.12, 40, 4
-_CAUTION = 3.0
-"""What the priors are wider by than the noise alone says: speeds change in the first samples."""
+from recorders.simulators.mujoco.model_frames import free_joint, seen_in_world
+from recorders.simulators.mujoco.model_sensors import SensedSignal
+from recorders.simulators.mujoco.model_simulator import InitialState
 
 _LEAST_SD = 1e-4
 _FAR = 50.0
@@ -37,9 +35,10 @@ def initial_state(model: Any, sensed: Sequence[SensedSignal], stamp_ns: int) -> 
         qpos = model.key_qpos[0].copy()
     unsure: list[Parameter] = []
     places: list[tuple[bool, int]] = []
+    sensed = seen_in_world(model, sensed)
     shown = _shown(model, sensed)
     for (label, unit, place_q, place_v), (positions, speeds) in shown.items():
-        found = _beginning(positions, speeds, stamp_ns)
+        found = beginning(positions, speeds, stamp_ns)
         if found is None:
             continue
         (position, speed), (position_sd, speed_sd), knows_position = found
@@ -52,24 +51,58 @@ def initial_state(model: Any, sensed: Sequence[SensedSignal], stamp_ns: int) -> 
         qvel[place_v] = speed
         unsure.append(_unsure(f"initial/{label}.velocity", f"{unit}/s", speed, speed_sd))
         places.append((True, place_v))
+    for joint, turn in _turns(model, sensed, stamp_ns).items():
+        place_q, place_v = int(model.jnt_qposadr[joint]) + 3, int(model.jnt_dofadr[joint]) + 3
+        if turn.is_still(qpos[place_q : place_q + 4]):
+            continue
+        qpos[place_q : place_q + 4] = turn.quaternion
+        qvel[place_v : place_v + 3] = turn.spin
+        found = _unsure_turn(model.body(int(model.jnt_bodyid[joint])).name, turn)
+        unsure += [one for one, _, _ in found]
+        places += [(is_spin, (place_v if is_spin else place_q) + at) for _, is_spin, at in found]
     return InitialState(stamp_ns, qpos, qvel, tuple(unsure), tuple(places))
 
 
-_Samples = tuple[Array, Array]
-"""Stamps [ns] and values."""
+def _turns(model: Any, sensed: Sequence[SensedSignal], stamp_ns: int) -> dict[int, InitialTurn]:
+    """How bodies with a free joint are turned, by that joint, as the first signal of each says."""
+    found: dict[int, InitialTurn] = {}
+    for one in sensed:
+        if one.sensors[0].kind != "framexaxis":
+            continue
+        joint = free_joint(model, one.sensors[0].name)
+        if joint is not None and joint not in found and (turn := initial_turn(one, stamp_ns)):
+            found[joint] = turn
+    return found
+
+
+def _unsure_turn(body: str, turn: InitialTurn) -> list[tuple[Parameter, bool, int]]:
+    """Parameters of a body's orientation and spin: each, whether it is of the spin, which it is.
+
+    Of a quaternion three numbers are enough: they and its length tell the largest.
+    """
+    largest = int(np.argmax(np.abs(turn.quaternion)))
+    found: list[tuple[Parameter, bool, int]] = []
+    for number, axis in enumerate("wxyz"):
+        if number != largest:
+            value, name = float(turn.quaternion[number]), f"initial/{body}.orientation.{axis}"
+            found.append((_unsure(name, "1", value, turn.quaternion_sd), False, number))
+    for number, axis in enumerate("xyz"):
+        value, sd = float(turn.spin[number]), float(turn.spin_sd[number])
+        found.append((_unsure(f"initial/{body}.spin.{axis}", "rad/s", value, sd), True, number))
+    return found
 
 
 def _shown(
     model: Any, sensed: Sequence[SensedSignal]
-) -> dict[tuple[str, str, int, int], tuple[_Samples | None, _Samples | None]]:
+) -> dict[tuple[str, str, int, int], tuple[Samples | None, Samples | None]]:
     """What is shown of each coordinate: its name, unit and places -> positions and speeds."""
-    shown: dict[tuple[str, str, int, int], tuple[_Samples | None, _Samples | None]] = {}
+    shown: dict[tuple[str, str, int, int], tuple[Samples | None, Samples | None]] = {}
     kinds = mujoco().mjtJoint
     for one in sensed:
         for column, sensor in zip(one.columns, one.sensors, strict=True):
             samples = _samples(one, column)
             if sensor.kind == "framepos":
-                joint = _free_joint(model, sensor.name)
+                joint = free_joint(model, sensor.name)
                 if joint is None:
                     continue
                 axis = "xyz"[sensor.axis]
@@ -97,47 +130,10 @@ def _shown(
     return shown
 
 
-def _free_joint(model: Any, body: str) -> int | None:
-    """The joint that lets a body move freely; None where it hangs on another."""
-    number = model.body(body).id
-    first = int(model.body_jntadr[number])
-    free = mujoco().mjtJoint.mjJNT_FREE
-    return first if first >= 0 and model.jnt_type[first] == free else None
-
-
-def _samples(sensed: SensedSignal, column: str) -> _Samples:
+def _samples(sensed: SensedSignal, column: str) -> Samples:
     values = sensed.signal.values[:, sensed.signal.columns.index(column)]
     good = np.isfinite(values)
     return sensed.signal.stamps_ns[good].astype(np.float64), values[good]
-
-
-def _beginning(
-    positions: _Samples | None, speeds: _Samples | None, stamp_ns: int
-) -> tuple[tuple[float, float], tuple[float, float], bool] | None:
-    """Position and speed at a stamp, their standard deviations, and whether a position was seen.
-
-    One parabola goes through the first positions and, as its slope, through the first speeds.
-    """
-    rows: list[Array] = []
-    values: list[Array] = []
-    for samples, row_of in (
-        (positions, lambda t: np.column_stack([np.ones_like(t), t, t**2 / 2])),
-        (speeds, lambda t: np.column_stack([np.zeros_like(t), np.ones_like(t), t])),
-    ):
-        if samples is None or len(samples[0]) < _LEAST_SAMPLES:
-            continue
-        at_s = (samples[0] - stamp_ns) * 1e-9
-        count = int(np.clip(np.sum(at_s <= _SECONDS), _LEAST_SAMPLES, _MOST_SAMPLES))
-        noise = max(noise_of(samples[1]), 1e-9)
-        rows.append(row_of(at_s[:count]) / noise)
-        values.append(samples[1][:count] / noise)
-    if not rows:
-        return None
-    matrix, wanted = np.concatenate(rows), np.concatenate(values)
-    inverse = np.linalg.pinv(matrix.T @ matrix)
-    found = inverse @ (matrix.T @ wanted)
-    sds = _CAUTION * np.sqrt(np.maximum(np.diag(inverse), 0.0))
-    return (float(found[0]), float(found[1])), (float(sds[0]), float(sds[1])), positions is not None
 
 
 def _unsure(name: str, unit: str, value: float, sd: float) -> Parameter:

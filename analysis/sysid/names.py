@@ -12,12 +12,14 @@ _STATES = re.compile(r"state|measured|actual|feedback", re.I)
 """In the last part of a topic's name: what is, whatever the parts before it say."""
 
 _QUANTITIES = ("position", "velocity", "effort")
+_PARTS = (*_QUANTITIES, "orientation", "force", "torque")
+"""How the signals of one topic end."""
 
 
 def topic_of(signal: str) -> str:
-    """The topic of a signal of joints."""
+    """The topic of a signal, or what a pose is of: without the signal's quantity."""
     topic, _, last = signal.rpartition(".")
-    return topic if last in _QUANTITIES else signal
+    return topic if last in _PARTS else signal
 
 
 def quantity_of(signal: str) -> str:

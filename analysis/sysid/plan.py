@@ -6,6 +6,7 @@ from pathlib import Path
 
 from analysis.selection import Options
 from analysis.sysid.source import part_of
+from recorders.simulators.base import Parameter
 from tunenet_logs.one_clock import on_one_clock
 from tunenet_logs.reader import read_episode
 
@@ -26,9 +27,14 @@ def print_plan(log: Path, options: Options) -> None:
         print(f"  {words}")
     for words in connected.unused:
         print(f"  not used: {words}")
+    for words in connected.doubts:
+        print(f"  doubtful: {words}")
     for one in parameters:
         low, high = one.training_range
-        unit = "" if one.unit == "1" else f" {one.unit}"
-        print(f"  tuned: {one.name} from {one.initial:g} in {low:g} to {high:g}{unit}")
+        print(f"  tuned: {one.name} from {one.initial:g} in {low:g} to {high:g}{_unit(one)}")
     for one in connected.simulator.parameters[len(parameters) :]:
-        print(f"  begins: {one.name} {one.initial:.4g} ± {one.prior_sd:.2g} {one.unit}")
+        print(f"  begins: {one.name} {one.initial:.4g} ± {one.prior_sd:.2g}{_unit(one)}")
+
+
+def _unit(parameter: Parameter) -> str:
+    return "" if parameter.unit == "1" else f" {parameter.unit}"

@@ -38,6 +38,7 @@ class Connected:
         unresolved: what its step leaves unsure of a parameter, one standard deviation, by name.
         used: each signal of the log that is used, and as what, in words.
         unused: each that is not, and why.
+        doubts: what of those used may be meant otherwise.
     """
 
     simulator: Simulator
@@ -47,6 +48,7 @@ class Connected:
     unresolved: Mapping[str, float] = field(default_factory=dict)
     used: tuple[str, ...] = ()
     unused: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
 
 
 class SimulatorSource(Protocol):
@@ -204,7 +206,9 @@ class ModelSource:
     def connect(self, episode: Episode) -> Connected:
         """See `SimulatorSource`."""
         from analysis.sysid.initial_state import initial_state
+        from analysis.sysid.orientations import orients_start
         from analysis.sysid.topics import matched
+        from analysis.sysid.wrenches import doubts
         from recorders.simulators.mujoco.model_parameters import DELAY
         from recorders.simulators.mujoco.model_simulator import ModelSimulator
 
@@ -212,11 +216,15 @@ class ModelSource:
         stamps = [one.signal.stamps_ns for one in match.sensed]
         start_ns = min(int(stamp[0]) for stamp in stamps)
         end_ns = max(int(stamp[-1]) for stamp in stamps)
-        state = initial_state(self.model, match.sensed, start_ns)
+        shown = [*match.sensed, *orients_start(self.model, match.turned)]
+        state = initial_state(self.model, shown, start_ns)
+        match.choose_turned(self.model, state.qpos)
         simulator = ModelSimulator(
             self.spec, self._tuned, tuple(match.sensed), tuple(match.drives), state, end_ns
         )
-        target = compared(episode, simulator.rollout({}))
+        rollout = simulator.rollout({})
+        seen = {one.signal.name: one.signal for one in match.sensed}
+        target = compared(replace(episode, signals={**episode.signals, **seen}), rollout)
         return Connected(
             simulator,
             target,
@@ -225,6 +233,7 @@ class ModelSource:
             {DELAY: _UNRESOLVED_STEPS / simulator.step_hz},
             tuple(match.used),
             tuple(match.unused),
+            doubts(match.sensed, rollout),
         )
 
 

@@ -4,18 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from typing import Any, Literal
 
 import numpy as np
 
-from analysis.sysid.names import is_wanted, named_as, quantity_of, topic_of, words_of
+from analysis.sysid.names import is_wanted, named_as, quantity_of, topic_of
+from analysis.sysid.orientations import Turned, why_not
+from analysis.sysid.poses import is_orientation, sensed_pose
+from analysis.sysid.told import IGNORE, TURNED, check_told
+from analysis.sysid.wrenches import is_wrench, sensed_wrench
 from recorders.simulators.mujoco.library import mujoco
 from recorders.simulators.mujoco.model_parameters import element_names
-from recorders.simulators.mujoco.model_simulator import Drive, SensedSignal, Sensor
+from recorders.simulators.mujoco.model_sensors import SensedSignal, Sensor
+from recorders.simulators.mujoco.model_simulator import Drive
+from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, Signal
-from tunenet_logs.errors import NotFoundError, UsageError
-from tunenet_logs.terminal import listed, short_name
+from tunenet_logs.errors import NotFoundError
+from tunenet_logs.terminal import listed
 
 _Kind = Literal["jointpos", "jointvel", "jointactuatorfrc"]
 
@@ -28,12 +33,10 @@ _UNITS: Mapping[str, str] = {"rad/s": "velocity", "m/s": "velocity", "N·m": "ef
 _PLACES = ("rad", "m", "1")
 """Units of what a user says is a joint, where its name does not tell the quantity."""
 
+_TARGETS = ("joint", "actuator", "body", "site")
 _FEW = 6
 _MANY_SIDED = (0, 1)
 """Kinds of joints, free and ball, whose position is no number."""
-
-IGNORE = "-"
-"""As a target of `--map`: the signal is left out."""
 
 
 @dataclass(eq=False)
@@ -45,12 +48,24 @@ class Match:
         drives: what moves the model.
         used: each signal that is used, and as what, in words.
         unused: each that is not, and why.
+        turned: orientations, which are compared where the model begins as they do.
     """
 
     sensed: list[SensedSignal] = field(default_factory=list)
     drives: list[Drive] = field(default_factory=list)
     used: list[str] = field(default_factory=list)
     unused: list[str] = field(default_factory=list)
+    turned: list[Turned] = field(default_factory=list)
+
+    def choose_turned(self, model: Any, qpos: Array) -> None:
+        """Compare those of `turned` that the model begins with, too, at `qpos`, shape (nq,)."""
+        for one in self.turned:
+            name = one.sensed.signal.name
+            if why := why_not(model, qpos, one):
+                self.unused.append(f"{name}: {why}")
+            else:
+                self.sensed.append(one.sensed)
+                self.used.append(f"{name}: compared with {one.words}")
 
 
 def matched(episode: Episode, model: Any, told: Mapping[str, str]) -> Match:
@@ -60,7 +75,8 @@ def matched(episode: Episode, model: Any, told: Mapping[str, str]) -> Match:
         episode: the log.
         model: compiled.
         told: signal, topic or SIGNAL.COLUMN -> `joint/NAME`, `actuator/NAME`, `body/NAME`,
-            `commands`, `states` or `-`, as a user says where names differ.
+            `site/NAME`, `commands`, `states` or `-`, as a user says where names differ; `-site/`
+            and `-body/` of a wrench that has the other sign.
 
     Raises:
         NotFoundError: nothing of the log is in the model; the message names both sides.
@@ -72,10 +88,10 @@ def matched(episode: Episode, model: Any, told: Mapping[str, str]) -> Match:
 class _Matching:
     def __init__(self, episode: Episode, model: Any, told: Mapping[str, str]) -> None:
         self._episode, self._model, self._told = episode, model, told
-        self._names = {kind: element_names(model, kind) for kind in ("joint", "actuator", "body")}
+        self._names = {kind: element_names(model, kind) for kind in _TARGETS}
         self._found = Match()
         self._by_column: dict[tuple[str, str], list[str | None]] = {}
-        self._check_told()
+        check_told(told, episode.signals, self._names)
 
     def match(self) -> Match:
         states: list[Signal] = []
@@ -89,8 +105,10 @@ class _Matching:
                 states.append(signal)
             elif role == "pose":
                 self._pose(signal)
+            elif role == "wrench":
+                self._wrench(signal)
             else:
-                self._found.unused.append(f"{name}: neither joints, commands nor a position")
+                self._found.unused.append(f"{name}: neither joints, commands, pose nor wrench")
         for signal in states:
             self._state(signal)
         if not self._found.sensed:
@@ -98,18 +116,21 @@ class _Matching:
         return self._found
 
     def _role(self, name: str, signal: Signal) -> str:
-        """What a signal is: "states", "commands", "pose", "-" or ""."""
-        told = self._told.get(name) or self._told.get(topic_of(name))
+        """What a signal is: "states", "commands", "pose", "wrench", "-" or ""."""
+        told = self._told_signal(signal)
         if told in ("commands", "states", IGNORE):
             return told
-        if told is not None:
-            return {"body": "pose", "actuator": "commands"}.get(told.partition("/")[0], "states")
+        kind = told.partition("/")[0].removeprefix(TURNED)
+        if kind == "site" or (kind == "body" and (is_wrench(signal) or told.startswith(TURNED))):
+            return "wrench"
+        if told:
+            return {"body": "pose", "actuator": "commands"}.get(kind, "states")
         quantity = quantity_of(name)
         if quantity or (signal.drives and signal.unit == "1"):
             return "commands" if signal.drives or is_wanted(topic_of(name)) else "states"
-        if signal.columns == ("x", "y", "z") and signal.unit == "m":
+        if is_orientation(signal) or (signal.columns == ("x", "y", "z") and signal.unit == "m"):
             return "pose"
-        return ""
+        return "wrench" if is_wrench(signal) else ""
 
     def _state(self, signal: Signal) -> None:
         kind = _BY_QUANTITY.get(_quantity(signal))
@@ -241,24 +262,26 @@ class _Matching:
         return "velocity" if on_speed else "effort"
 
     def _pose(self, signal: Signal) -> None:
-        told = self._told.get(signal.name, self._told.get(topic_of(signal.name), ""))
-        body = told.removeprefix("body/") if told else None
-        if body is None:
-            found = (named_as(word, self._names["body"][1:]) for word in words_of(signal.name))
-            body = next((one for one in found if one is not None), None)
-        if body is None:
-            self._found.unused.append(f"{signal.name}: no body of the model is called so")
-            return
-        if signal.columns != ("x", "y", "z") or signal.unit != "m":
-            raise UsageError(
-                f"--map {short_name(signal.name)}=body/{short_name(body)}: is no position in m",
-                "map the topic of a pose, a point or a transform",
-            )
-        if np.isfinite(signal.values).all(axis=1).sum() < 2:
-            self._found.unused.append(f"{signal.name}: fewer than two samples")
-            return
-        sensors = tuple(Sensor("framepos", body, axis) for axis in range(3))
-        self._sense(SensedSignal(signal, signal.columns, sensors), f"position of {body}")
+        told = self._told_signal(signal).removeprefix("body/")
+        sensed, words = sensed_pose(signal, told, self._names["body"])
+        if sensed is None:
+            self._found.unused.append(f"{signal.name}: {words}")
+        elif is_orientation(signal):
+            turned = Turned(sensed, words, is_sure=signal.name in self._told)
+            self._found.turned.append(turned)
+        else:
+            self._sense(sensed, words)
+
+    def _wrench(self, signal: Signal) -> None:
+        sensed, words = sensed_wrench(signal, self._told_signal(signal), self._model)
+        if sensed is None:
+            self._found.unused.append(f"{signal.name}: {words}")
+        else:
+            self._sense(sensed, words)
+
+    def _told_signal(self, signal: Signal) -> str:
+        """What a user says of a signal, or of its topic; "" where nothing."""
+        return self._told.get(signal.name) or self._told.get(topic_of(signal.name), "")
 
     def _sense(self, sensed: SensedSignal, what: str = "") -> None:
         self._found.sensed.append(sensed)
@@ -292,38 +315,6 @@ class _Matching:
                     found[place] = guess
             self._by_column[kind, signal.name] = found
         return self._by_column[kind, signal.name]
-
-    def _check_told(self) -> None:
-        signals = self._episode.signals
-        known = {*signals, *map(topic_of, signals)}
-        for name, signal in signals.items():
-            for column in signal.columns:
-                known |= {f"{name}.{column}", f"{topic_of(name)}.{column}", column}
-        for key, target in self._told.items():
-            if key not in known:
-                near = get_close_matches(key, known, _FEW, 0.5) or sorted(known)
-                raise UsageError(
-                    f"--map {short_name(key)}: the log has no such signal",
-                    f"there is: {listed(near, _FEW)}",
-                )
-            kind, _, name = target.partition("/")
-            is_whole = key in signals or key in map(topic_of, signals)
-            if not is_whole and (target in ("commands", "states") or kind == "body"):
-                raise UsageError(
-                    f"--map {short_name(key)}={short_name(target)}: is one column alone",
-                    f"map its signal or topic, or {short_name(key)}=joint/NAME",
-                )
-            if target in ("commands", "states", IGNORE):
-                continue
-            if not name or name not in self._names.get(kind, ()):
-                known_names = [
-                    f"{one}/{each}" for one, names in self._names.items() for each in names if each
-                ]
-                near = get_close_matches(target, known_names, _FEW, 0.5) or known_names
-                raise UsageError(
-                    f"--map {short_name(key)}={short_name(target)}: is no part of the model",
-                    f"there is: commands, states, -, {listed(near, _FEW)}",
-                )
 
     def _refuse(self) -> None:
         of_log: Iterable[str] = dict.fromkeys(

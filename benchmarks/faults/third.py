@@ -57,7 +57,7 @@ FITS = (
 READERS = (
     Fault(
         "a place that is infinite is taken for a place",
-        "tunenet_logs/collect.py",
+        "tunenet_logs/position_rows.py",
         "values[~np.isfinite(values)] = np.nan",
         "values[np.isnan(values)] = np.nan",
         ("tests/tunenet_logs/test_collect.py",),

@@ -7,12 +7,8 @@ import pytest
 
 from recorders.simulators.mujoco.library import mujoco
 from recorders.simulators.mujoco.model_scene import ModelScene
-from recorders.simulators.mujoco.model_simulator import (
-    InitialState,
-    ModelSimulator,
-    SensedSignal,
-    Sensor,
-)
+from recorders.simulators.mujoco.model_sensors import SensedSignal, Sensor
+from recorders.simulators.mujoco.model_simulator import InitialState, ModelSimulator
 from tunenet_logs.episode import Signal
 
 MODEL = """

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tunenet_logs.collect import JointRows, PositionRows
+from tunenet_logs.collect import JointRows
 from tunenet_logs.formats.base import BeyondLimitError
 from tunenet_logs.formats.message_types import JointSample
+from tunenet_logs.position_rows import PositionRows
 
 NS = 10_000_000
 

@@ -8,7 +8,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from tunenet_logs.formats.any_messages import AnyType, Steps
-from tunenet_logs.formats.message_types import PositionSample, time_ns, type_key
+from tunenet_logs.formats.message_types import type_key
+from tunenet_logs.formats.position_types import PositionSample
+from tunenet_logs.formats.stamps import time_ns
 from tunenet_logs.formats.structure import NUMBERS, Listed, Node, Plain, Structure
 
 _WORDS = frozenset(

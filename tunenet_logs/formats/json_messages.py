@@ -20,8 +20,8 @@ from tunenet_logs.formats.base import (
     UnusableError,
     described,
 )
-from tunenet_logs.formats.message_types import STAMP_FIELDS
-from tunenet_logs.formats.shapes import Fields, Leaf, Many, Shape, shape_of
+from tunenet_logs.formats.shapes import Fields, Leaf, Many, Maybe, Shape, shape_of
+from tunenet_logs.formats.stamps import STAMP_FIELDS
 
 _SCHEMAS = ("jsonschema", "")
 """Schema encodings of JSON; a log may give none."""
@@ -127,6 +127,11 @@ def _built(value: Any, shape: Shape) -> Any:
         return SimpleNamespace(
             **{name: _field(value, name, inner) for name, inner in shape.fields.items()}
         )
+    if isinstance(shape, Maybe):
+        try:
+            return _built(value, shape.of)
+        except ValueError:
+            return None
     if isinstance(shape, Many):
         if not isinstance(value, list):
             raise ValueError("no list where one must be")
@@ -140,7 +145,7 @@ def _built(value: Any, shape: Shape) -> Any:
 def _field(value: dict[str, Any], name: str, shape: Shape) -> Any:
     if name in value:
         return _built(value[name], shape)
-    if shape is Leaf.OPTIONAL:
+    if shape is Leaf.OPTIONAL or isinstance(shape, Maybe):
         return None
     raise ValueError(f"it has no {name!r}")
 

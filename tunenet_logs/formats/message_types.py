@@ -5,7 +5,7 @@ ROS and Foxglove types have the same fields in every encoding, so one line serve
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any, NamedTuple
@@ -13,20 +13,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tunenet_logs.formats.base import RawChannel
+from tunenet_logs.formats.position_types import (
+    PositionType,
+    foxglove_point,
+    foxglove_pose,
+    foxglove_transform,
+    frame_of,
+    ros_point,
+    ros_pose,
+    ros_transform,
+    ros_transforms,
+)
 from tunenet_logs.formats.ros import ros_name
-
-PositionSample = tuple[int, str, str, float, float, float]
-"""Stamp [ns] (0: not set), of what ("": the topic's own), in which frame ("": any); x, y, z [m]."""
-
-STAMP_FIELDS = (("sec", "nanosec"), ("seconds", "nanos"), ("sec", "nsec"), ("secs", "nsecs"))
-"""What ROS 2, protobuf, Foxglove's JSON and ROS 1 call the parts of a time."""
-
-
-@dataclass(frozen=True)
-class PositionType:
-    """A type with positions."""
-
-    read: Callable[[Any], Iterable[PositionSample]]
+from tunenet_logs.formats.stamps import ros_stamp_ns, time_ns
 
 
 class JointSample(NamedTuple):
@@ -109,8 +108,8 @@ class NumbersType:
     read: Callable[[Any], NumbersSample]
 
 
-WrenchSample = tuple[int, float, float, float, float, float, float]
-"""Stamp [ns] (0: not set); force x, y, z [N]; torque x, y, z [N·m]."""
+WrenchSample = tuple[int, str, float, float, float, float, float, float]
+"""Stamp [ns] (0: not set); in which frame ("": any); force x, y, z [N]; torque x, y, z [N·m]."""
 
 
 @dataclass(frozen=True)
@@ -142,55 +141,10 @@ def type_key(type_name: str) -> str:
     return f"foxglove.{plain}" if package in ("foxglove_msgs", "foxglove") else name
 
 
-def time_ns(time: Any) -> int:
-    """A time of ROS, protobuf or JSON [ns]."""
-    for whole, part in STAMP_FIELDS:
-        if hasattr(time, whole) and hasattr(time, part):
-            return int(getattr(time, whole)) * 1_000_000_000 + int(getattr(time, part))
-    raise ValueError("it holds no time that is understood")
-
-
-def _ros_stamp(message: Any) -> int:
-    stamp = message.header.stamp
-    try:
-        return stamp.sec * 1_000_000_000 + stamp.nanosec
-    except AttributeError:
-        return time_ns(stamp)
-
-
-def _place(stamp_ns: int, point: Any, name: str = "", frame: str = "") -> PositionSample:
-    return stamp_ns, name, frame, float(point.x), float(point.y), float(point.z)
-
-
-def _at(path: str) -> PositionType:
-    """A type with a header, and a point at `path`."""
-    point_of = attrgetter(path)
-    return PositionType(lambda message: (_place(_ros_stamp(message), point_of(message)),))
-
-
-def _transforms(message: Any) -> Iterable[PositionSample]:
-    return [
-        _place(
-            _ros_stamp(transform),
-            transform.transform.translation,
-            transform.child_frame_id,
-            str(getattr(transform.header, "frame_id", "")),
-        )
-        for transform in message.transforms
-    ]
-
-
-def _frame_transform(transform: Any) -> PositionSample:
-    parent = str(getattr(transform, "parent_frame_id", ""))
-    return _place(
-        time_ns(transform.timestamp), transform.translation, transform.child_frame_id, parent
-    )
-
-
 def _joint_state(message: Any) -> JointSample:
     names = tuple(message.name)
     return JointSample(
-        _ros_stamp(message), names, message.position, message.velocity, message.effort
+        ros_stamp_ns(message), names, message.position, message.velocity, message.effort
     )
 
 
@@ -240,14 +194,14 @@ def _trajectory(message: Any) -> PlanSample:
         (time_ns(point.time_from_start), point.positions, point.velocities, point.effort)
         for point in message.points
     ]
-    return PlanSample(_ros_stamp(message), tuple(message.joint_names), points)
+    return PlanSample(ros_stamp_ns(message), tuple(message.joint_names), points)
 
 
 def _wrench(message: Any) -> WrenchSample:
     force, torque = message.wrench.force, message.wrench.torque
     parts = (force.x, force.y, force.z, torque.x, torque.y, torque.z)
     x, y, z, around_x, around_y, around_z = map(float, parts)
-    return _ros_stamp(message), x, y, z, around_x, around_y, around_z
+    return ros_stamp_ns(message), frame_of(message.header), x, y, z, around_x, around_y, around_z
 
 
 _NUMBERS = NumbersType(attrgetter("data"))
@@ -255,11 +209,11 @@ _NUMBER = NumbersType(lambda message: (float(message.data),))
 
 
 def _compressed_image(message: Any) -> PictureSample:
-    return PictureSample(_ros_stamp(message), message.format, message.data)
+    return PictureSample(ros_stamp_ns(message), message.format, message.data)
 
 
 def _image(message: Any) -> PictureSample:
-    return _raw(_ros_stamp(message), message, bool(message.is_bigendian))
+    return _raw(ros_stamp_ns(message), message, bool(message.is_bigendian))
 
 
 def _raw(stamp_ns: int, message: Any, is_bigendian: bool = False) -> PictureSample:
@@ -273,24 +227,18 @@ def _foxglove_image(message: Any) -> PictureSample:
 
 
 _MESSAGE_TYPES: dict[str, MessageType] = {
-    "geometry_msgs/msg/PoseStamped": _at("pose.position"),
-    "geometry_msgs/msg/PoseWithCovarianceStamped": _at("pose.pose.position"),
-    "geometry_msgs/msg/PointStamped": _at("point"),
-    "geometry_msgs/msg/TransformStamped": _at("transform.translation"),
-    "nav_msgs/msg/Odometry": _at("pose.pose.position"),
-    "tf2_msgs/msg/TFMessage": PositionType(_transforms),
-    "foxglove.PoseInFrame": PositionType(
-        lambda message: (_place(time_ns(message.timestamp), message.pose.position),)
-    ),
-    "foxglove.Point3InFrame": PositionType(
-        lambda message: (_place(time_ns(message.timestamp), message.point),)
-    ),
-    "foxglove.Odometry": PositionType(
-        lambda message: (_place(time_ns(message.timestamp), message.pose.position),)
-    ),
-    "foxglove.FrameTransform": PositionType(lambda message: (_frame_transform(message),)),
+    "geometry_msgs/msg/PoseStamped": ros_pose("pose"),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": ros_pose("pose.pose"),
+    "geometry_msgs/msg/PointStamped": ros_point("point"),
+    "geometry_msgs/msg/TransformStamped": PositionType(ros_transform),
+    "nav_msgs/msg/Odometry": ros_pose("pose.pose"),
+    "tf2_msgs/msg/TFMessage": PositionType(ros_transforms),
+    "foxglove.PoseInFrame": PositionType(foxglove_pose),
+    "foxglove.Point3InFrame": PositionType(foxglove_point),
+    "foxglove.Odometry": PositionType(foxglove_pose),
+    "foxglove.FrameTransform": PositionType(lambda message: (foxglove_transform(message),)),
     "foxglove.FrameTransforms": PositionType(
-        lambda message: [_frame_transform(transform) for transform in message.transforms]
+        lambda message: [foxglove_transform(transform) for transform in message.transforms]
     ),
     "sensor_msgs/msg/JointState": JointType(_joint_state),
     "foxglove.JointStates": JointType(_foxglove_joints),

@@ -16,8 +16,8 @@ from tunenet_logs.formats.base import (
     described,
 )
 from tunenet_logs.formats.compression import MAX_PART_BYTES
-from tunenet_logs.formats.message_types import STAMP_FIELDS
-from tunenet_logs.formats.shapes import Fields, Leaf, Many, Shape, shape_of
+from tunenet_logs.formats.shapes import Fields, Leaf, Many, Maybe, Shape, shape_of
+from tunenet_logs.formats.stamps import STAMP_FIELDS
 
 if TYPE_CHECKING:
     from google.protobuf.descriptor import Descriptor, FieldDescriptor
@@ -116,6 +116,8 @@ def _check(descriptor: Descriptor, shape: Fields, path: str) -> None:
         UnusableError: one is missing, or is something else.
     """
     for name, inner in shape.fields.items():
+        if isinstance(inner, Maybe):
+            continue
         field = descriptor.fields_by_name.get(name)
         if field is None or not _fits(field, inner):
             raise UnusableError(f"its schema is not the usual one: {path} has no usable {name!r}")

@@ -14,7 +14,8 @@ from tunenet_logs.formats.by_shape import (
     shape_reader,
     stamp_steps,
 )
-from tunenet_logs.formats.message_types import PositionSample, time_ns
+from tunenet_logs.formats.position_types import PositionSample
+from tunenet_logs.formats.stamps import time_ns
 from tunenet_logs.formats.structure import Structure, likely_field, numbers_in
 
 _HINT = re.compile(rb"\bz\b|position|translation|location|\[3\]|\bpos\b")

@@ -40,7 +40,14 @@ class Many:
     of: Shape
 
 
-Shape = Leaf | Fields | Many
+@dataclass(frozen=True)
+class Maybe:
+    """A part that a message may lack, or have as something else."""
+
+    of: Shape
+
+
+Shape = Leaf | Fields | Many | Maybe
 """What a field of a message must be."""
 
 
@@ -62,12 +69,22 @@ def _fields(**fields: Shape) -> Fields:
 
 # Parts that several types have.
 _POINT = _fields(x=Leaf.NUMBER, y=Leaf.NUMBER, z=Leaf.NUMBER)
-_POSE = _fields(position=_POINT)
-_HEADER = _fields(stamp=Leaf.TIME)
+_TURN = Maybe(_fields(x=Leaf.NUMBER, y=Leaf.NUMBER, z=Leaf.NUMBER, w=Leaf.NUMBER))
+_FRAME = Maybe(Leaf.TEXT)
+_POSE = _fields(position=_POINT, orientation=_TURN)
+_HEADER = _fields(stamp=Leaf.TIME, frame_id=_FRAME)
 _ROS_TRANSFORM = _fields(
-    header=_HEADER, child_frame_id=Leaf.TEXT, transform=_fields(translation=_POINT)
+    header=_HEADER,
+    child_frame_id=Leaf.TEXT,
+    transform=_fields(translation=_POINT, rotation=_TURN),
 )
-_TRANSFORM = _fields(timestamp=Leaf.TIME, child_frame_id=Leaf.TEXT, translation=_POINT)
+_TRANSFORM = _fields(
+    timestamp=Leaf.TIME,
+    parent_frame_id=_FRAME,
+    child_frame_id=Leaf.TEXT,
+    translation=_POINT,
+    rotation=_TURN,
+)
 _JOINT = _fields(
     name=Leaf.TEXT, position=Leaf.OPTIONAL, velocity=Leaf.OPTIONAL, effort=Leaf.OPTIONAL
 )
@@ -98,9 +115,9 @@ _SHAPES: dict[str, Fields] = {
     "geometry_msgs/msg/TransformStamped": _ROS_TRANSFORM,
     "nav_msgs/msg/Odometry": _fields(header=_HEADER, pose=_fields(pose=_POSE)),
     "tf2_msgs/msg/TFMessage": _fields(transforms=Many(_ROS_TRANSFORM)),
-    "foxglove.PoseInFrame": _fields(timestamp=Leaf.TIME, pose=_POSE),
-    "foxglove.Point3InFrame": _fields(timestamp=Leaf.TIME, point=_POINT),
-    "foxglove.Odometry": _fields(timestamp=Leaf.TIME, pose=_POSE),
+    "foxglove.PoseInFrame": _fields(timestamp=Leaf.TIME, frame_id=_FRAME, pose=_POSE),
+    "foxglove.Point3InFrame": _fields(timestamp=Leaf.TIME, frame_id=_FRAME, point=_POINT),
+    "foxglove.Odometry": _fields(timestamp=Leaf.TIME, frame_id=_FRAME, pose=_POSE),
     "foxglove.FrameTransform": _TRANSFORM,
     "foxglove.FrameTransforms": _fields(transforms=Many(_TRANSFORM)),
     "sensor_msgs/msg/JointState": _fields(

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
-from tunenet_logs.formats.message_types import STAMP_FIELDS
+from tunenet_logs.formats.stamps import STAMP_FIELDS
 
 _MOST_LISTED = 200
 """Fields that are listed of a type."""

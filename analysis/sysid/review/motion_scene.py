@@ -18,9 +18,10 @@ from analysis.review.drawing import GROUND, OBSERVED, Color, at_seconds, screen_
 from analysis.sysid.experiment import SimulatorDetection
 from analysis.sysid.review.review_data import SimulatorReviewData
 from analysis.sysid.review.shapes import log_shapes
-from recorders.simulators.mujoco.library import mujoco
+from recorders.simulators.mujoco.model_frames import free_joint, seen_in_world
 from recorders.simulators.mujoco.model_scene import ModelScene, Shape
-from recorders.simulators.mujoco.model_simulator import ModelSimulator, SensedSignal
+from recorders.simulators.mujoco.model_sensors import SensedSignal
+from recorders.simulators.mujoco.model_simulator import ModelSimulator
 from tunenet_logs.arrays import Array
 
 _FIXED: Color = (92, 98, 114)
@@ -88,7 +89,8 @@ def log_scene(
     qpos = qpos[np.clip(np.searchsorted(seconds, moments, "right") - 1, 0, None)]
     at_s = moments + found.offset_s + (start_ns - found.connected.target.start_ns) * 1e-9
     simulated = _Motion(at_s, *scene.poses(qpos))
-    seen, is_whole = _observed(scene.model, simulator.sensed, moments, start_ns, qpos)
+    sensed = seen_in_world(scene.model, simulator.sensed)
+    seen, is_whole = _observed(scene.model, sensed, moments, start_ns, qpos)
     observed = None if seen is None else _Motion(at_s, *scene.poses(seen))
     corners = _corners(scene, simulated)
     if observed is not None:  # a simulated body that flies away is let go
@@ -103,7 +105,7 @@ def log_scene(
     if observed is not None:
         _log_motion(stream, "observed", scene, observed, OBSERVED, is_solid=True)
     _log_motion(stream, "simulated", scene, simulated, result.color, is_solid=False)
-    _log_points(stream, simulator.sensed, moments, start_ns, at_s)
+    _log_points(stream, sensed, moments, start_ns, at_s)
     return rrb.Spatial3DView(
         origin="/scene",
         name=_title(observed is not None, is_whole),
@@ -143,14 +145,13 @@ def _observed(
     """
     qpos = simulated.copy()
     shown = np.zeros(model.nq, dtype=bool)
-    free = mujoco().mjtJoint.mjJNT_FREE
     for one in sensed:
         for column, sensor in zip(one.columns, one.sensors, strict=True):
             if sensor.kind == "jointpos":
                 place = int(model.jnt_qposadr[model.joint(sensor.name).id])
             elif sensor.kind == "framepos":
-                joint = int(model.body_jntadr[model.body(sensor.name).id])
-                if joint < 0 or model.jnt_type[joint] != free:
+                joint = free_joint(model, sensor.name)
+                if joint is None:
                     continue
                 place = int(model.jnt_qposadr[joint]) + sensor.axis
             else:

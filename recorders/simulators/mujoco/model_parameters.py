@@ -144,6 +144,7 @@ def element_names(model: Any, kind: str) -> list[str]:
         "joint": "njnt",
         "body": "nbody",
         "geom": "ngeom",
+        "site": "nsite",
         "actuator": "nu",
         "tendon": "ntendon",
     }

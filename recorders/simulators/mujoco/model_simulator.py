@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from recorders.simulators.base import Parameter
 from recorders.simulators.installed import named_version
 from recorders.simulators.mujoco.library import mujoco
 from recorders.simulators.mujoco.model_parameters import DELAY, ModelParameter
+from recorders.simulators.mujoco.model_sensors import SensedSignal, Sensor, put_sensors
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import UsageError
@@ -28,29 +29,6 @@ _MOST_BATCH = 64
 _LATE_BY_HALF_A_STEP = ("mjINT_EULER", "mjINT_IMPLICIT", "mjINT_IMPLICITFAST")
 """Integrators that step speeds first, then positions with them: their speeds are those of half a
 step before, to second order."""
-
-
-class Sensor(NamedTuple):
-    """What one column of a signal is in the model."""
-
-    kind: Literal["jointpos", "jointvel", "jointactuatorfrc", "framepos"]
-    name: str
-    axis: int = 0
-
-
-@dataclass(frozen=True, eq=False)
-class SensedSignal:
-    """A signal of the log that the model has, too.
-
-    Attributes:
-        signal: of the log.
-        columns: those of its columns that the model has.
-        sensors: what they are there.
-    """
-
-    signal: Signal
-    columns: tuple[str, ...]
-    sensors: tuple[Sensor, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,21 +147,8 @@ class ModelSimulator:
     @cached_property
     def _model(self) -> Any:
         """The compiled model, with sensors of what is compared alone."""
-        library = mujoco()
         spec = self.spec.copy()
-        for sensor in list(spec.sensors):
-            spec.delete(sensor)
-        for number, (kind, name, _) in enumerate(self._distinct):
-            body = kind == "framepos"
-            spec.add_sensor(
-                name=f"seen {number}",
-                type=getattr(
-                    library.mjtSensor,
-                    {"jointactuatorfrc": "mjSENS_JOINTACTFRC"}.get(kind, f"mjSENS_{kind.upper()}"),
-                ),
-                objtype=library.mjtObj.mjOBJ_XBODY if body else library.mjtObj.mjOBJ_JOINT,
-                objname=name,
-            )
+        put_sensors(spec, self._distinct)
         model = spec.compile()
         if self.step_s is not None:
             model.opt.timestep = self.step_s
@@ -196,12 +161,10 @@ class ModelSimulator:
         return model
 
     @cached_property
-    def _distinct(self) -> list[tuple[str, str, int]]:
+    def _distinct(self) -> list[Sensor]:
         """Each sensor once, without its axis."""
         return list(
-            dict.fromkeys(
-                (sensor.kind, sensor.name, 0) for sensed in self.sensed for sensor in sensed.sensors
-            )
+            dict.fromkeys(sensor.whole for sensed in self.sensed for sensor in sensed.sensors)
         )
 
     @cached_property
@@ -311,10 +274,10 @@ class ModelSimulator:
         for sensed in self.sensed:
             wanted_s = (sensed.signal.stamps_ns - self.initial.stamp_ns) * 1e-9
             values = np.empty((len(wanted_s), len(sensed.columns)))
-            for place, (kind, name, axis) in enumerate(sensed.sensors):
-                number = self._distinct.index((kind, name, 0))
-                track = seen[:, self._model.sensor_adr[number] + axis]
-                late_s = step_s / 2 if kind == "jointvel" and self._is_late else 0.0
+            for place, sensor in enumerate(sensed.sensors):
+                number = self._distinct.index(sensor.whole)
+                track = sensor.sign * seen[:, self._model.sensor_adr[number] + sensor.axis]
+                late_s = step_s / 2 if sensor.kind == "jointvel" and self._is_late else 0.0
                 values[:, place] = np.interp(wanted_s, at_s - late_s, track, right=np.nan)
             signal = sensed.signal
             signals[signal.name] = Signal(

@@ -1,0 +1,63 @@
+"""Where a log's rotation begins: the orientation and spin of a body that moves freely."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from analysis.sysid.beginning import beginning
+from analysis.sysid.orientations import rotations
+from recorders.simulators.mujoco.model_sensors import SensedSignal
+from tunenet_logs.arrays import Array
+
+_MOST_RAD = 1.0
+"""Turned since the first sample: beyond it, a rotation vector is no smooth way."""
+
+
+@dataclass(frozen=True)
+class InitialTurn:
+    """How a body is turned at a stamp, and how it turns.
+
+    Attributes:
+        quaternion: w, x, y, z, shape (4,).
+        quaternion_sd: of any of these.
+        spin: in the body's frame, shape (3,) [rad/s].
+        spin_sd: shape (3,).
+    """
+
+    quaternion: Array
+    quaternion_sd: float
+    spin: Array
+    spin_sd: Array
+
+    def is_still(self, quaternion: Array) -> bool:
+        """Whether the body may lie still at an orientation w, x, y, z, shape (4,)."""
+        cosine = min(abs(float(self.quaternion @ quaternion)), 1.0)
+        off = 2 * np.arccos(cosine)
+        return off < 2 * self.quaternion_sd and bool((np.abs(self.spin) < self.spin_sd).all())
+
+
+def initial_turn(sensed: SensedSignal, stamp_ns: int) -> InitialTurn | None:
+    """Read it off the first samples of a body's x and z axes; None where they do not tell.
+
+    Args:
+        sensed: as the world sees them.
+        stamp_ns: where a rollout begins.
+    """
+    values = sensed.signal.values
+    good = np.isfinite(values).all(axis=1)
+    turns = Rotation.from_matrix(rotations(values[good]))
+    since_first = (turns[0].inv() * turns).as_rotvec()
+    is_far = np.linalg.norm(since_first, axis=1) > _MOST_RAD
+    count = int(np.argmax(is_far)) if is_far.any() else len(is_far)
+    stamps = sensed.signal.stamps_ns[good][:count].astype(np.float64)
+    parts = [beginning((stamps, since_first[:count, axis]), None, stamp_ns) for axis in range(3)]
+    known = [one for one in parts if one is not None]
+    if len(known) < 3:
+        return None
+    values, sds = (np.array([one[place] for one in known]) for place in (0, 1))
+    first = turns[0] * Rotation.from_rotvec(values[:, 0])
+    quaternion = np.roll(first.as_quat(), 1)
+    return InitialTurn(quaternion, float(sds[:, 0].max()) / 2, values[:, 1], sds[:, 1])
