@@ -205,7 +205,7 @@ class ModelSource:
         """See `SimulatorSource`."""
         from analysis.sysid.initial_state import initial_state
         from analysis.sysid.topics import matched
-        from recorders.simulators.mujoco.model_parameters import DELAY
+        from recorders.simulators.mujoco.model_parameters import DELAY, movable
         from recorders.simulators.mujoco.model_simulator import ModelSimulator
 
         match = matched(episode, self.model, self.told)
@@ -214,7 +214,12 @@ class ModelSource:
         end_ns = max(int(stamp[-1]) for stamp in stamps)
         state = initial_state(self.model, match.sensed, start_ns)
         simulator = ModelSimulator(
-            self.spec, self._tuned, tuple(match.sensed), tuple(match.drives), state, end_ns
+            movable(self.spec, self._tuned),
+            self._tuned,
+            tuple(match.sensed),
+            tuple(match.drives),
+            state,
+            end_ns,
         )
         target = compared(episode, simulator.rollout({}))
         return Connected(
