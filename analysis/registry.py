@@ -34,6 +34,7 @@ METHODS = {
     "brent": "analysis.estimators.brent:Brent",
     "least-squares": "analysis.estimators.least_squares:LeastSquares",
     "tpe": "analysis.estimators.tpe:Tpe",
+    "cma-es": "analysis.estimators.cma_es:ScaledCmaEs",
 }
 """Name -> module:class, the usual one first."""
 

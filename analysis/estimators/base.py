@@ -151,7 +151,7 @@ class Problem:
         self._observe = observe
 
     def evaluate(self, values: Array) -> Evaluation:
-        """Run the simulator at `values`, shape (P,), and observe it."""
+        """Run the simulator at `values`, shape (P,) or (S,), and observe it."""
         names = [parameter.name for parameter in self.parameters]
         settings: Mapping[str, float] = dict(zip(names, map(float, values), strict=True))
         self.rollouts += 1
@@ -163,9 +163,25 @@ class Problem:
         difference = evaluation.observation.values - self.target.values
         return np.where(np.isfinite(difference), difference, 0.0).ravel()
 
+    @property
+    def searched(self) -> tuple[Parameter, ...]:
+        """What a search by trial varies: S, the P parameters first, then what else is unsure."""
+        return self.parameters
+
+    @property
+    def ranges(self) -> Array:
+        """Where it looks: the smallest and the largest value of each, shape (S, 2)."""
+        return np.array([parameter.bounds for parameter in self.searched])
+
+    @property
+    def start(self) -> Array:
+        """Where it begins, shape (S,): `initial`, and guesses of what else is unsure."""
+        return self.initial
+
     def clamp(self, values: Array) -> Array:
-        """The nearest values within physical bounds, shape (P,)."""
-        low, high = np.array([parameter.bounds for parameter in self.parameters]).T
+        """The nearest values within physical bounds, shape (P,) or (S,)."""
+        bounds = [parameter.bounds for parameter in self.searched[: len(values)]]
+        low, high = np.array(bounds).T
         return np.clip(values, low, high)
 
 

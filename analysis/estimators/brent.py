@@ -9,7 +9,7 @@ _CLOSE = 1e-6
 
 
 class Brent(Estimator):
-    """Golden sections and parabolas over all that physics allows; one parameter.
+    """Golden sections and parabolas over the range; one parameter.
 
     It has no use for the initial guess. It finds one local minimum of the cost, of which there are
     dozens.
@@ -22,11 +22,11 @@ class Brent(Estimator):
         """The best place so far; see `Estimator.estimate`."""
         from scipy.optimize import minimize_scalar
 
-        parameter = check_one_parameter(problem, self.name)
+        check_one_parameter(problem, self.name)
         search = Search(problem, rollouts)
         options = {"xatol": _CLOSE, "maxiter": max(rollouts, 1)}
         return search.run(
             lambda: minimize_scalar(
-                search.cost, bounds=parameter.bounds, method="bounded", options=options
+                search.cost, bounds=problem.ranges[0], method="bounded", options=options
             )
         )

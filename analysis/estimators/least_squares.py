@@ -14,7 +14,7 @@ from tunenet_logs.arrays import Array
 class LeastSquares(Estimator):
     """scipy's trust-region least squares on the misfit, from one start after another.
 
-    The first start is the initial guess; the others spread evenly over the bounds. Rollouts for
+    The first start is the initial guess; the others spread evenly over the ranges. Rollouts for
     derivatives are charged like any other.
 
     Args:
@@ -36,17 +36,17 @@ class LeastSquares(Estimator):
     def _optimize(self, search: Search, problem: Problem) -> None:
         from scipy.optimize import least_squares
 
-        bounds = np.array([one.bounds for one in problem.parameters]).T
-        for start in _starts(problem.initial, bounds):
+        bounds = np.array([one.bounds for one in problem.searched]).T
+        for start in _starts(problem.start, problem.ranges):
             least_squares(search.misfit, start, bounds=tuple(bounds), diff_step=self._step)
             if search.least == 0:
                 return
 
 
-def _starts(initial: Array, bounds: Array) -> Iterator[Array]:
-    """The initial guess, then 1/2, 1/4, 3/4, 1/8, ... of the way from low to high, without end."""
-    yield initial
-    low, high = bounds
+def _starts(first: Array, ranges: Array) -> Iterator[Array]:
+    """The first one, then 1/2, 1/4, 3/4, 1/8, ... of the way from low to high, without end."""
+    yield first
+    low, high = ranges.T
     index = 1
     while True:
         yield low + (high - low) * _reversed_bits(index)

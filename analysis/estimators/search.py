@@ -61,7 +61,7 @@ class Search:
         return self._least
 
     def evaluate(self, values: Array) -> Evaluation:
-        """See `Problem.evaluate`, at the nearest values to `values`, shape (P,), within bounds."""
+        """See `Problem.evaluate`, at the nearest values to `values` within bounds."""
         if not self.left:
             raise _Spent
         values = self._problem.clamp(np.atleast_1d(np.asarray(values, dtype=np.float64)))
@@ -70,11 +70,12 @@ class Search:
         if cost < self._least:
             self._least = cost
             if self._keep_best:
-                self._steps.append(Step(values, self._problem.rollouts, evaluation))
+                own = values[: len(self._problem.parameters)]
+                self._steps.append(Step(own, self._problem.rollouts, evaluation))
         return evaluation
 
     def misfit(self, values: Array) -> Array:
-        """See `Problem.misfit`, at `values` of shape (P,)."""
+        """See `Problem.misfit`, at `values` of shape (P,) or (S,)."""
         return self._problem.misfit(self.evaluate(values))
 
     def cost(self, values: Array) -> float:

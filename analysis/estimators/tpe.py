@@ -10,7 +10,7 @@ from analysis.optional_dependencies import needed
 
 
 class Tpe(Estimator):
-    """optuna's sampler on the cost, over all that physics allows, the initial guess first.
+    """optuna's sampler on the cost, over the ranges, the initial guess first.
 
     Args:
         seed: of its sampling.
@@ -36,9 +36,12 @@ class Tpe(Estimator):
 
         optuna.logging.set_verbosity(optuna.logging.WARNING)
         study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=self._seed))
-        names = [one.name for one in problem.parameters]
-        study.enqueue_trial(dict(zip(names, problem.initial.tolist(), strict=True)))
+        names = [one.name for one in problem.searched]
+        study.enqueue_trial(dict(zip(names, problem.start.tolist(), strict=True)))
         while search.left:
             trial = study.ask()
-            values = [trial.suggest_float(one.name, *one.bounds) for one in problem.parameters]
+            values = [
+                trial.suggest_float(name, low, high)
+                for name, (low, high) in zip(names, problem.ranges.tolist(), strict=True)
+            ]
             study.tell(trial, search.cost(np.array(values)))

@@ -30,6 +30,9 @@ _PAIRS_EACH = 40
 _GRID = 100
 """Moments at which it looks."""
 
+MOST_SPREADS = 20.0
+"""That an observation reaches from the log's mean; what is further off looks the same."""
+
 _BATCH = 50
 _RECIPE = Recipe(
     optimizer="adamw",
@@ -59,7 +62,7 @@ def observation(target: ComparedColumns, values: Array) -> Observation:
             shown = np.interp(grid_s, column.seconds[good], mine[good])
         centre = float(np.mean(column.values))
         scaled = (shown - centre) / max(column.spread, 1e-12)
-        seen.append(np.clip(scaled, -20.0, 20.0))
+        seen.append(np.clip(scaled, -MOST_SPREADS, MOST_SPREADS))
     names = tuple(f"{column.label} [spreads]" for column in target.columns)
     return Observation(np.column_stack(seen), grid_s, "time [s]", names)
 

@@ -8,10 +8,17 @@ import numpy as np
 
 from analysis.estimators.base import Evaluation, FitResult, Problem
 from analysis.sysid.fit import SimulatorFit, fit_simulator
-from analysis.sysid.network import observation, trained_network
+from analysis.sysid.network import MOST_SPREADS, observation, trained_network
 from analysis.sysid.source import Connected, Rollouts
 from analysis.tunenet.network import Model
+from recorders.simulators.base import Parameter
 from tunenet_logs.arrays import Array
+
+_PRIOR_WIDTHS = 3.0
+"""Standard deviations to each side in which a search by trial looks."""
+
+_LEAST_NOISE, _LEAST_SPREAD = 0.01, 1e-12
+"""Of a column, in its spread, in a search's cost: no simulator is right beyond all digits."""
 
 
 class SimulatorProblem(Problem):
@@ -29,6 +36,8 @@ class SimulatorProblem(Problem):
         simulator, target = connected.simulator, connected.target
         self._all = tuple(sorted(simulator.parameters, key=lambda one: one.prior_sd is not None))
         self._rest = np.array([one.initial for one in self._all[len(initial) :]])
+        shares = [one.noise / max(one.spread, _LEAST_SPREAD) for one in target.columns]
+        self._noises = np.maximum(shares, _LEAST_NOISE)
         super().__init__(
             observation(target, target.values),
             simulator,
@@ -40,11 +49,39 @@ class SimulatorProblem(Problem):
         self.parameters = self._all[: len(initial)]
 
     def evaluate(self, values: Array) -> Evaluation:
-        """One rollout from the initial state that the fit found, if it did."""
+        """One rollout; an initial state that is not given is the one that the fit found, if it did.
+
+        See `Problem.evaluate`.
+        """
         self.rollouts += 1
-        row = np.concatenate([values, self._rest])
+        row = np.concatenate([values, self._rest[len(values) - len(self.parameters) :]])
         episode = self._connected.rollouts(row[None])[0]
         return Evaluation(episode, self._observe(episode))
+
+    @property
+    def searched(self) -> tuple[Parameter, ...]:
+        """The parameters, then what of the initial state is unsure."""
+        return self._all
+
+    @property
+    def ranges(self) -> Array:
+        """Those that the user named, and what priors leave; all with what is begun with."""
+        low, high = np.array([_range(one) for one in self._all]).T
+        return np.stack([np.minimum(low, self.start), np.maximum(high, self.start)], axis=1)
+
+    @property
+    def start(self) -> Array:
+        """See `Problem.start`."""
+        return np.concatenate([self.initial, self._rest])
+
+    def misfit(self, evaluation: Evaluation) -> Array:
+        """See `Problem.misfit`; in noises of each column, so that those count that tell most.
+
+        A column that a rollout loses at once is as far off as can be.
+        """
+        is_lost = np.isnan(evaluation.observation.values) & np.isfinite(self.target.values)
+        off = np.where(is_lost.ravel(), MOST_SPREADS, super().misfit(evaluation))
+        return (off.reshape(is_lost.shape) / self._noises).ravel()
 
     def _counted(self, rollouts: Rollouts) -> Callable[[Array], Array]:
         """What rollouts show at the log's stamps; each is charged."""
@@ -79,3 +116,12 @@ class SimulatorProblem(Problem):
             count,
             self._digest,
         )
+
+
+def _range(parameter: Parameter) -> tuple[float, float]:
+    """Where a search by trial looks for a parameter."""
+    if parameter.prior_sd is None:
+        return parameter.training_range
+    reach = _PRIOR_WIDTHS * parameter.prior_sd
+    low, high = parameter.bounds
+    return max(parameter.initial - reach, low), min(parameter.initial + reach, high)

@@ -209,7 +209,7 @@ class ModelSource:
         from analysis.sysid.orientations import orients_start
         from analysis.sysid.topics import matched
         from analysis.sysid.wrenches import doubts
-        from recorders.simulators.mujoco.model_parameters import DELAY
+        from recorders.simulators.mujoco.model_parameters import DELAY, movable
         from recorders.simulators.mujoco.model_simulator import ModelSimulator
 
         match = matched(episode, self.model, self.told)
@@ -220,7 +220,12 @@ class ModelSource:
         state = initial_state(self.model, shown, start_ns)
         match.choose_turned(self.model, state.qpos)
         simulator = ModelSimulator(
-            self.spec, self._tuned, tuple(match.sensed), tuple(match.drives), state, end_ns
+            movable(self.spec, self._tuned),
+            self._tuned,
+            tuple(match.sensed),
+            tuple(match.drives),
+            state,
+            end_ns,
         )
         rollout = simulator.rollout({})
         seen = {one.signal.name: one.signal for one in match.sensed}

@@ -1,8 +1,7 @@
-"""What an address of `--tune` names in a model, and what giving it a value does there."""
+"""What giving a tuned parameter a value does in the model."""
 
 from __future__ import annotations
 
-import math
 import re
 from typing import Any
 
@@ -11,49 +10,11 @@ import pytest
 
 from recorders.simulators.mujoco.library import mujoco as library
 from recorders.simulators.mujoco.model_fields import FIELDS
-from recorders.simulators.mujoco.model_parameters import (
-    ModelParameter,
-    element_names,
-    model_parameters,
-)
+from recorders.simulators.mujoco.model_parameters import ModelParameter, model_parameters
+from tests.recorders.tunable_model import compiled, one
 from tunenet_logs.errors import UsageError
 
 mujoco = library()
-
-MODEL = """<mujoco><option timestep="0.002" density="500" viscosity="1"/>
-  <worldbody>
-    <geom name="floor" type="plane" size="5 5 .1" friction="0.01 0.005 0.0001" condim="6"/>
-    <body name="arm" pos="0 0 1">
-      <joint name="hinge" axis="0 1 0" damping="0.1" frictionloss="0.2" armature="0.1"
-        stiffness="3" springref="20"/>
-      <geom name="arm" type="box" size=".2 .05 .04" pos=".2 0 0" mass="1"/>
-      <body name="slider" pos=".4 0 0">
-        <joint name="slide" type="slide" axis="1 0 0" damping="1" frictionloss="0.3"
-          armature="0.2" stiffness="30" springref="0.05"/>
-        <geom name="slider" type="capsule" size=".05 .1" pos="0 .1 0" mass="0.5"/>
-        <body name="bob"><joint name="ball" type="ball" damping="0.01" stiffness="0.2"
-            frictionloss="0.01" armature="0.01"/>
-          <geom name="bob" size=".05" pos="0 0 -.2" mass="0.3"/></body>
-      </body>
-    </body>
-    <body name="block" pos="2 0 0.045">
-      <freejoint name="block"/>
-      <geom name="block" type="box" size=".1 .1 .05" mass="1" condim="6"
-        friction="0.5 0.1 0.1" solref="0.03 0.7" solimp="0.8 0.9 0.01 0.3 3"/>
-    </body>
-    <body name="bolted"><geom name="bolted" size=".1" contype="0" conaffinity="0"/></body>
-  </worldbody>
-  <tendon><fixed name="belt" damping="0.2" frictionloss="0.1" stiffness="2" springlength="0.4">
-    <joint joint="hinge" coef="1"/><joint joint="slide" coef="2"/></fixed></tendon>
-  <actuator>
-    <position name="servo" joint="hinge" kp="4" kv="0.5"/>
-    <velocity name="speed" joint="slide" kv="3"/>
-    <motor name="motor" joint="hinge" gear="2"/>
-    <muscle name="muscle" joint="hinge" lengthrange="-1 1"/>
-    <damper name="damper" joint="hinge" kv="1" ctrlrange="0 1"/>
-    <position name="ratio" joint="slide" kp="5" dampratio="1"/>
-  </actuator>
-</mujoco>"""
 
 TURNS = ("hinge", "slide", "ball")
 ADDRESSES = {
@@ -83,21 +44,7 @@ def every_address() -> list[str]:
 
 @pytest.fixture(scope="module")
 def model() -> Any:
-    return mujoco.MjModel.from_xml_string(MODEL)
-
-
-def one(model: Any, text: str) -> ModelParameter:
-    return model_parameters(model, [text])[0]
-
-
-def refusal(model: Any, *texts: str) -> str:
-    with pytest.raises(UsageError) as caught:
-        model_parameters(model, texts)
-    assert caught.value.remedy
-    line = str(caught.value)
-    assert line.isprintable(), line
-    assert len(line) < 600
-    return line
+    return compiled()
 
 
 def arrays(model: Any) -> dict[str, Any]:
@@ -231,133 +178,3 @@ def test_a_centre_of_mass_moves_without_the_shapes(model: Any):
     mujoco.mj_forward(model, before)
     np.testing.assert_allclose(data.geom_xpos, before.geom_xpos, atol=1e-12)
     assert data.body("arm").xipos[0] == pytest.approx(0.05)
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("joint/hinge.damping=0:-1", "no LOW:HIGH"),
-        ("joint/hinge.damping=1:1", "no LOW:HIGH"),
-        ("joint/hinge.damping=nan:1", "no LOW:HIGH"),
-        ("joint/hinge.damping=0:inf", "no LOW:HIGH"),
-        ("joint/hinge.damping=0:1e999", "no LOW:HIGH"),
-        ("joint/hinge.damping=a:b", "no LOW:HIGH"),
-        ("joint/hinge.damping=5", "no LOW:HIGH"),
-        ("joint/hinge.damping=", "no LOW:HIGH"),
-        ("joint/hinge.damping=:", "no LOW:HIGH"),
-        ("joint/hinge.damping=1:2:3", "no LOW:HIGH"),
-        ("joint/hinge.damping=0:1e12", "over 1e+09"),
-        ("joint/hinge.damping=-1:1", "below 0"),
-        ("body/arm.mass=0:1", "below 1e-06"),
-        ("body/arm.inertia[0]=0:1", "below 1e-09"),
-        ("geom/block.solimp[0]=0:2", "over 1"),
-        ("geom/block.solimp[4]=0:2", "below 1"),
-        ("delay/commands=0:2", "over 1"),
-        ("delay/commands=-1:0.1", "below 0"),
-        ("joint/hinge.damping[1]=0:1", "damping has 1 number"),
-        ("geom/block.friction=0:1", "friction[0] to friction[2]"),
-        ("geom/block.friction[3]=0:1", "friction[0] to friction[2]"),
-        ("geom/block.friction[300]=0:1", "friction[0] to friction[2]"),
-        ("option.gravity=0:1", "gravity[0] to gravity[2]"),
-        ("geom/block.friction[-1]=0:1", "KIND/NAME.FIELD"),
-        ("joint/hinge.dampin=0:1", "damping, frictionloss"),
-        ("joint/hing.damping=0:1", "nearest: hinge"),
-        ("joint/Hinge.damping=0:1", "nearest: hinge"),
-        ("joint/qqqq.damping=0:1", "nearest: hinge, slide"),
-        ("joint.damping=0:1", "hinge"),
-        ("joint/arm.damping=0:1", "hinge"),
-        ("joints/hinge.damping=0:1", "KIND/NAME.FIELD"),
-        ("option/any.gravity[0]=0:1", "option.gravity[2]"),
-        ("option.timestep=0:1", "gravity, density"),
-        ("hinge", "KIND/NAME.FIELD"),
-        ("", "KIND/NAME.FIELD"),
-        ("\n", "KIND/NAME.FIELD"),
-        ("joint/a\nb.damping=0:1", "no such joint"),
-        ("joint/\x1b[31m.damping=0:1", "no such joint"),
-        ("joint/" + "x" * 100_000 + ".damping=0:1", "no such joint"),
-        ("x" * 100_000, "KIND/NAME.FIELD"),
-        ("=" * 10_000, "KIND/NAME.FIELD"),
-        ("joint/ball.springref=0:1", "no single position"),
-        ("joint/block.springref=0:1", "no single position"),
-        ("joint/block.damping", "tells no range"),
-        ("body/world.mass=1:2", "cannot move"),
-        ("body/bolted.mass=1:2", "cannot move"),
-        ("body/block.ipos[0]=0:1", 'simple="false"'),
-        ("geom/bolted.friction[0]=0:1", "touches nothing"),
-        ("actuator/speed.kp=0:1", "write kv"),
-        ("actuator/motor.kv=0:1", "no kv"),
-        ("actuator/muscle.kp=0:1", "no kp"),
-        ("actuator/muscle.kv=0:1", "no kv"),
-        ("actuator/damper.kp=0:1", "no kp"),
-    ],
-)
-def test_what_is_no_parameter_is_refused_in_one_line(model: Any, text: str, words: str):
-    assert words in refusal(model, text)
-
-
-@pytest.mark.parametrize(
-    "texts",
-    [
-        ("joint/hinge.damping=0:1", "joint/hinge.damping=0:2"),
-        ("joint/hinge.damping=0:1", "joint/hinge.damping[0]=0:2"),
-        ("geom/block.friction[0]", "geom/block.friction[00]"),
-        ("delay/commands", " delay/commands=0:0.1"),
-    ],
-)
-def test_nothing_is_named_twice(model: Any, texts: tuple[str, ...]):
-    assert "named twice" in refusal(model, *texts)
-
-
-NAMES = [
-    "a.damping",
-    "robot/arm/elbow",
-    "left elbow",
-    "j[0]",
-    "gelenk_ü",
-    "关节",
-    "a=b",
-    "a:b=c",
-    "-",
-    "delay/commands",
-    "x" * 200,
-]
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_any_name_can_be_written(name: str):
-    spec = mujoco.MjSpec()
-    for each in (name, "other"):
-        body = spec.worldbody.add_body(name=each, mass=1, inertia=[1, 1, 1])
-        body.explicitinertial = True
-        body.add_joint(name=each, damping=[2.0, 0.0, 0.0])
-    model = spec.compile()
-    for address in (f"joint/{name}.damping", f"body/{name}.mass"):  # one name of two kinds
-        for text in (address, f"{address}=0.5:9", f" {address} = 0.5 : 9 "):
-            tuned = one(model, text)
-            assert tuned.parameter.name == address
-            assert tuned.owner == address.rpartition(".")[0]
-    copy = model.__copy__()
-    one(model, f"joint/{name}.damping=0:9").put(copy, 7.0)
-    assert copy.dof_damping.tolist() == [7.0, 2.0]
-
-
-def test_what_has_no_name_cannot_be_named():
-    xml = "<body><joint/><geom size='.1'/></body>" * 2
-    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{xml}</worldbody></mujoco>")
-    assert element_names(model, "joint") == ["", ""]
-    for text in ("joint/0.damping=0:1", "joint.damping=0:1"):
-        assert "name the joint in the model" in refusal(model, text)
-    assert "KIND/NAME.FIELD" in refusal(model, "joint/.damping=0:1")
-
-
-def test_a_range_is_the_models_value_and_five_times_more_and_less(model: Any):
-    ranges = {
-        "joint/hinge.damping": (0.02, 0.5),
-        "option.gravity[2]": (-9.81 * 5, -9.81 / 5),
-        "geom/block.friction[0]": (0.0, 1.5),
-        "geom/block.solimp[0]": (0.16, 1.0),
-        "delay/commands": (0.0, 0.2),
-    }
-    for address, expected in ranges.items():
-        assert one(model, address).parameter.training_range == pytest.approx(expected)
-    assert math.isclose(one(model, "joint/hinge.damping=1:2").parameter.initial, 1.0)

@@ -25,6 +25,8 @@ class ModelField:
         by_dof: whether the array is by degree of freedom.
         usual: where to look, if the model's value is there; else a fifth to five times that.
         within: smallest and largest value by index, where not all of them have the same.
+        laws: by index, what a value is above 0, and what below, where that is not one law; empty
+            where it is.
     """
 
     array: str
@@ -36,6 +38,7 @@ class ModelField:
     within: Mapping[int, tuple[float, float]] = field(
         default_factory=dict[int, tuple[float, float]]
     )
+    laws: tuple[tuple[str, str], ...] = ()
 
     def bounds(self, index: int) -> _Limits:
         """Of the value with an index."""
@@ -59,7 +62,13 @@ FIELDS: Mapping[str, Mapping[str, ModelField]] = {
     },
     "geom": {
         "friction": ModelField("geom_friction", "1", 0.0, 3, usual=(0.0, 1.5)),
-        "solref": ModelField("geom_solref", "1", _ANY, 2),
+        "solref": ModelField(
+            "geom_solref",
+            "1",
+            _ANY,
+            2,
+            laws=(("a time constant", "a stiffness"), ("a damping ratio", "a damping")),
+        ),
         "solimp": ModelField(
             "geom_solimp",
             "1",

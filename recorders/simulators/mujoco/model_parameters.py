@@ -6,7 +6,6 @@ model is compiled once.
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -18,6 +17,12 @@ import numpy as np
 from recorders.simulators.base import Parameter
 from recorders.simulators.mujoco.library import mujoco
 from recorders.simulators.mujoco.model_fields import FIELDS, SLIDING_UNITS, ModelField
+from recorders.simulators.mujoco.model_ranges import (
+    check_inside,
+    one_sided,
+    told_range,
+    usual_range,
+)
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import UsageError
 from tunenet_logs.terminal import listed, short_name
@@ -44,7 +49,8 @@ class ModelParameter:
 
     Attributes:
         parameter: its name is the address, its training range where it is looked for.
-        put: gives a compiled model this value, all that follows from it but `mj_setConst`'s.
+        put: gives a compiled model this value, all that follows from it but `mj_setConst`'s; the
+            model is one that `movable` gave.
         field: what it is, e.g. "damping".
         owner: kind and name of the element, e.g. "joint/elbow".
     """
@@ -66,6 +72,9 @@ def model_parameters(model: Any, wanted: Iterable[str]) -> tuple[ModelParameter,
     for name in names:
         if names.count(name) > 1:
             raise UsageError(f"--tune {short_name(name)} is named twice", "leave one out")
+    for one in found:
+        if one.field == "solref":
+            _check_solref(model, one, found)
     return tuple(sorted(found, key=lambda one: one.field == "inertia"))  # masses scale inertias
 
 
@@ -74,10 +83,10 @@ def _model_parameter(model: Any, text: str) -> ModelParameter:
     assert match is not None
     address = match["address"].strip()
     if address == DELAY:
-        low, high = _range(text, match) or (0.0, 0.2)
+        low, high = _told(text, match) or (0.0, 0.2)
         initial = (low + high) / 2
         delay = Parameter(DELAY, "s", (0.0, _MOST_DELAY_S), (low, high), initial)
-        _check_inside(text, delay)
+        check_inside(text, delay)
         return ModelParameter(delay, _nothing, "delay", DELAY)
     parts = _ADDRESS.fullmatch(address)
     if parts is None and _NO_RANGE.fullmatch(address):
@@ -113,10 +122,30 @@ def _model_parameter(model: Any, text: str) -> ModelParameter:
         unit = SLIDING_UNITS.get(unit, unit)
     now = float(place.get(model))
     bounds = field.bounds(index)
-    low, high = _range(text, match) or _usual_range(text, field, now, bounds)
+    low, high = _told(text, match) or usual_range(text, field, now, bounds)
+    if field.laws:
+        bounds = one_sided(text, field.laws[index], (low, high), bounds)
     parameter = Parameter(address, unit, bounds, (low, high), min(max(now, low), high))
-    _check_inside(text, parameter)
+    check_inside(text, parameter)
     return ModelParameter(parameter, place.put, field_name, owner)
+
+
+def _told(text: str, match: re.Match[str]) -> tuple[float, float] | None:
+    """The range that a text names; None where it names none."""
+    return None if match["low"] is None else told_range(text, match["low"], match["high"])
+
+
+def movable(spec: Any, tuned: Iterable[ModelParameter]) -> Any:
+    """A copy of a model, not compiled, in which centres of mass that are tuned may move.
+
+    A body whose centre of mass is at its origin may be compiled as a simple one, which has to stay
+    one.
+    """
+    copy = spec.copy()
+    for one in tuned:
+        if one.field == "ipos":
+            copy.body(one.owner.partition("/")[2]).simple = False
+    return copy
 
 
 def _number(model: Any, kind: str, name: str | None, text: str) -> int:
@@ -238,9 +267,6 @@ def _check_matters(model: Any, kind: str, field_name: str, number: int, text: st
     why = remedy = ""
     if kind == "body" and model.body_weldid[number] == 0:
         why, remedy = "that body cannot move", "name one with a joint, or of one with a joint"
-    elif field_name == "ipos" and model.body_simple[number]:
-        why = "MuJoCo compiles that body as a simple one"
-        remedy = 'write simple="false" at it in the model'
     elif kind == "geom" and not (model.geom_contype[number] or model.geom_conaffinity[number]):
         why, remedy = "that geom touches nothing", "name one with a contype or a conaffinity"
     elif field_name == "springref" and model.jnt_type[number] in _MANY_SIDED:
@@ -275,40 +301,22 @@ def _mass_put(number: int) -> Callable[[Any, float], None]:
     return put
 
 
-def _range(text: str, match: re.Match[str]) -> tuple[float, float] | None:
-    """The range that a text names; None where it names none."""
-    if match["low"] is None:
-        return None
-    try:
-        low, high = float(match["low"]), float(match["high"])
-    except ValueError:
-        low = high = math.nan
-    if not (math.isfinite(low) and math.isfinite(high) and low < high):
-        raise UsageError(f"--tune {short_name(text)}: the range is no LOW:HIGH", "such as =0:5")
-    return low, high
+def _check_solref(model: Any, tuned: ModelParameter, others: Iterable[ModelParameter]) -> None:
+    """Whether a solref keeps one law: MuJoCo takes two numbers of two signs for its default.
 
-
-def _usual_range(
-    text: str, field: ModelField, now: float, bounds: tuple[float, float]
-) -> tuple[float, float]:
-    """Where to look for a parameter of which the model alone says what it may be."""
-    if field.usual is not None and field.usual[0] <= now <= field.usual[1]:
-        return field.usual
-    if not now:
+    Raises:
+        UsageError: the other number, tuned or the model's, has another sign.
+    """
+    owner, address = tuned.owner, tuned.parameter.name
+    number = 1 - int(address[-2])
+    partner = f"{owner}.solref[{number}]"
+    known = {one.parameter.name: one.parameter.initial for one in others}
+    value = known.get(partner, float(model.geom(owner.partition("/")[2]).solref[number]))
+    if (value > 0) != (tuned.parameter.initial > 0):
         raise UsageError(
-            f"--tune {short_name(text)}: is 0 in the model, which tells no range",
-            "add it, such as =0:1",
-        )
-    ends = (now / 5, now * 5) if now > 0 else (now * 5, now / 5)
-    return (max(ends[0], bounds[0]), min(ends[1], bounds[1]))
-
-
-def _check_inside(text: str, parameter: Parameter) -> None:
-    (low, high), (least, most) = parameter.training_range, parameter.bounds
-    if low < least or high > most:
-        raise UsageError(
-            f"--tune {short_name(text)}: no {parameter.name} is below {least:g} or over {most:g}",
-            "choose a range inside",
+            f"--tune {short_name(address)}: {short_name(partner)} is {value:g}, and MuJoCo ignores "
+            "a solref of two signs",
+            "choose a range of its sign, or give that one a range of this sign",
         )
 
 
