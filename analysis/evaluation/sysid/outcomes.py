@@ -185,13 +185,13 @@ def _first_steps(trial: MachineTrial, log: ModelLog) -> SysidOutcome:
 def trials(
     sections: Sequence[str], seeds: Sequence[int], logs: int, noises: Sequence[float]
 ) -> list[MachineTrial]:
-    """All of them: `logs` a machine and section; a twentieth of them for the network,
-    a fifth where the noise is another.
+    """All of them.
 
     Args:
         sections: which.
         seeds: each with its own logs.
-        logs: for each seed and machine.
+        logs: for each seed, machine and section; a fifth of them where the noise is another than
+            the usual one, a twentieth for the network.
         noises: times the usual one, of the section "tuned".
     """
     found: list[MachineTrial] = []

@@ -20,7 +20,7 @@ class SysidOrder:
 
     Attributes:
         seeds: each with its own logs.
-        logs: for each seed, machine and section; a twentieth for the network's.
+        logs: for each seed, machine and section; see `trials`.
         sections: of `choices.SYSID_SECTIONS`.
         jobs: processes; None for all cores.
     """
