@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from textwrap import wrap
 
@@ -15,6 +16,13 @@ _LAST = ("fits", "95 % interval")
 _NAME_CHARACTERS = 28, 10
 """Of a log in a table that is too wide: so many while columns can leave, so few when none can."""
 
+_HEAD_CHARACTERS = 20
+"""Of a column's name in a table that is too wide: longer ones take several lines."""
+
+_MARKS, _WEAK_MARKS = re.compile(r"(?<=[/ ])|(?=[.(])"), re.compile(r"(?<=_)")
+"""Where a name goes on in the next line: `joint/`, `elbow`, `.damping `, `[N·m]`; within `left_arm`
+where it has to."""
+
 _FEWEST = 20
 """Characters of a line: a terminal that says less is taken for one of these."""
 
@@ -24,8 +32,8 @@ def laid_out(
 ) -> str:
     """A header, a line for each row, and indented below it what its line has no room for.
 
-    Where that is wider than a terminal, one row stands upright, a line a column; of several the
-    least important columns are left out, and named.
+    Where that is wider than a terminal, one row stands upright, a line a column; of several, long
+    names take several lines, then the least important columns are left out, and named.
 
     Args:
         columns: cells by the column's name, N each; the most important names come first.
@@ -50,21 +58,33 @@ def laid_out(
 def _lines(
     columns: Mapping[str, Sequence[str]], below: Sequence[Sequence[str]], most: int | None
 ) -> str:
+    heads = [name.split("\n") for name in columns]
+    height = max(map(len, heads))
+    standing = [[""] * (height - len(head)) + head for head in heads]
     widths = _widths(columns)
-    header, *lines = (
+    lines = [
         _BETWEEN.join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
-        for line in zip(*([name, *cells] for name, cells in columns.items()), strict=True)
-    )
-    out = [header]
-    for line, words in zip(lines, below, strict=True):
+        for line in zip(
+            *([*head, *cells] for head, cells in zip(standing, columns.values(), strict=True)),
+            strict=True,
+        )
+    ]
+    out = lines[:height]
+    for line, words in zip(lines[height:], below, strict=True):
         out += [line, *_indented(words, most)]
     return "\n".join(out)
 
 
 def _upright(columns: Mapping[str, Sequence[str]], below: Sequence[str], most: int) -> str:
-    """One row, a line a column."""
-    width = max(map(len, columns))
-    lines = [f"{name.ljust(width)}{_BETWEEN}{cells[0]}" for name, cells in columns.items()]
+    """One row, a line a column; names leave room for all that is said but the log's path."""
+    _, *cells = (cell for cell, *_ in columns.values())
+    room = max(most - len(_BETWEEN) - max(map(len, cells), default=0), _FEWEST)
+    names = [short_name(name, room) for name in columns]
+    width = max(map(len, names))
+    lines = [
+        f"{name.ljust(width)}{_BETWEEN}{cell}"
+        for name, (cell, *_) in zip(names, columns.values(), strict=True)
+    ]
     return "\n".join([*lines, *_indented(below, most)])
 
 
@@ -92,19 +112,33 @@ def _fitted(
     log, *_ = never = list(columns)[:3]
     many, few = _NAME_CHARACTERS
     kept = {**columns, log: [short_name(cell, many) for cell in columns[log]]}
+    heads = {name: "\n".join(_head(name)) for name in columns}
     order = [name for name in reversed(list(columns)) if name not in (*_LAST, *never)]
     order += [name for name in _LAST if name in columns and name not in never]
     for name in order:
-        if _width(kept) <= most:
+        if _width({heads[one]: cells for one, cells in kept.items()}) <= most:
             break
         del kept[name]
-    room = most - _width(kept) + _widths(kept)[0]
-    kept[log] = [short_name(cell, max(few, room)) for cell in columns[log]]
-    return kept, [name for name in columns if name not in kept]
+    shown = {heads[name]: cells for name, cells in kept.items()}
+    room = most - _width(shown) + _widths(shown)[0]
+    shown[heads[log]] = [short_name(cell, max(few, room)) for cell in columns[log]]
+    return shown, [name for name in columns if name not in kept]
+
+
+def _head(name: str) -> list[str]:
+    """A column's name on lines that are not too long, broken at its marks."""
+    lines = [""]
+    for part in _MARKS.split(name):
+        is_short = len(part.rstrip()) <= _HEAD_CHARACTERS
+        for piece in [part] if is_short else _WEAK_MARKS.split(part):
+            if lines[-1] and len(lines[-1]) + len(piece.rstrip()) > _HEAD_CHARACTERS:
+                lines.append("")
+            lines[-1] += short_name(piece, _HEAD_CHARACTERS)
+    return [line.rstrip() for line in lines]
 
 
 def _widths(columns: Mapping[str, Sequence[str]]) -> list[int]:
-    return [max(len(name), *map(len, cells)) for name, cells in columns.items()]
+    return [max(*map(len, name.split("\n")), *map(len, cells)) for name, cells in columns.items()]
 
 
 def _width(columns: Mapping[str, Sequence[str]]) -> int:

@@ -12,6 +12,7 @@ import rerun.blueprint as rrb
 from analysis.checks import Verdict
 from analysis.record import Record, Tuning
 from analysis.review.drawing import FAILURE, SUCCESS, Color
+from analysis.review.said_names import said_names
 from tunenet_logs.terminal import short_name
 
 VERDICT_COLORS: dict[Verdict, Color] = {
@@ -86,9 +87,10 @@ def _beside(record: Record) -> str:
     """What was found and what failed: as much as there is room for, in letters that it can draw."""
     failed = [check for check in record.checks if not check.passed]
     failed.sort(key=lambda check: not check.fatal)
+    said = said_names(known.name for known in record.estimates)
     parts = [
         ", ".join(
-            f"{known.name.replace('_', ' ')} {round(known.value, 3) + 0.0:.3f}"
+            f"{said[known.name]} {round(known.value, 3) + 0.0:.3f}"
             + ("" if known.unit == "1" else f" {known.unit}")
             for known in record.estimates
             if not isinstance(known.value, tuple)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
-from analysis.record import Estimate, Rebound, Record
+from analysis.record import Rebound, Record
+from analysis.review.said_names import said_names
 from analysis.terminal_table import (
     cross_words,
     equivalent_words,
@@ -15,10 +16,14 @@ from analysis.terminal_table import (
     markdown_table,
     quantity,
 )
-from tunenet_logs.terminal import one_line
+from tunenet_logs.terminal import one_line, short_name
 
-_SHOWN = 5
-"""Iterations in the table: the last ones."""
+_SHOWN, _FEW_SHOWN = 5, 3
+"""Iterations in the table: the last ones; fewer where names are long."""
+
+_LONG, _MOST_OF_A_NAME = 24, 32
+"""Characters of a parameter: a table on a laptop's screen has room for so many beside five values,
+for so many beside three."""
 
 _MOST_BOUNCES = 6
 _MOST_WARNINGS = 50
@@ -75,16 +80,19 @@ def _parameters(record: Record) -> list[str]:
     """A table of them, or what there is of several numbers each."""
     single = [known for known in record.estimates if not isinstance(known.value, tuple)]
     several = [known for known in record.estimates if isinstance(known.value, tuple)]
-    rows: list[tuple[str, ...]] = []
+    said = said_names(known.name for known in record.estimates)
+    rows: list[tuple[str, str, str]] = []
     for known in single:
         ends = "-"
         if known.interval95 is not None:
             low, high = known.interval95
             ends = interval_words(low, high)  # pyright: ignore[reportArgumentType]
-        rows.append((_title(known), f"{known.value:.4f}", ends))
-    lines = [markdown_table(("parameter", "value", f"95 %{interval_mark(record)}"), rows)]
+        rows.append((quantity(said[known.name], known.unit), f"{known.value:.4f}", ends))
+    head = ("parameter", "value", f"95 %{interval_mark(record)}")
+    is_long = _are_long(name for name, *_ in rows)
+    lines = [_listed(head, rows) if is_long else markdown_table(head, rows)]
     meanings = [
-        f"- {known.name.replace('_', ' ')}: {_MEANINGS[known.name]}"
+        f"- {said[known.name]}: {_MEANINGS[known.name]}"
         + (_at(record) if known is single[0] else "")
         for known in single
         if known.name in _MEANINGS and record.physical
@@ -92,13 +100,18 @@ def _parameters(record: Record) -> list[str]:
     lines += ["\n".join(meanings)] if meanings else []
     return [
         *(lines if rows else []),
-        *(extra_words(replace(known, name=known.name.replace("_", " "))) for known in several),
+        *(extra_words(replace(known, name=said[known.name])) for known in several),
     ]
 
 
-def _title(known: Estimate) -> str:
-    """A parameter as a heading: "payload mass [kg]"."""
-    return quantity(known.name.replace("_", " "), known.unit)
+def _are_long(names: Iterable[str]) -> bool:
+    return any(len(name) > _LONG for name in names)
+
+
+def _listed(head: tuple[str, str, str], rows: Sequence[tuple[str, str, str]]) -> str:
+    """Parameters whose names leave a table no room: a list's lines wrap."""
+    *_, interval = head
+    return "\n".join(f"- {name}: **{value}**, {interval}: {ends}" for name, value, ends in rows)
 
 
 def _at(record: Record) -> str:
@@ -143,16 +156,18 @@ def _iterations(record: Record, preset: str) -> list[str]:
     said = f"{record.method}, preset {preset}, {record.rollouts} rollouts"
     if not record.physical:
         said += "; the engine's number under the paper's settings"
-    shown = list(enumerate(record.iterations))[-_SHOWN:]
+    spoken = said_names(record.iterations[0])
+    units = {known.name: known.unit for known in record.estimates}
+    titles = {name: quantity(spoken[name], units.get(name, "1")) for name in spoken}
+    is_long = _are_long(titles.values())
+    if is_long:  # the list above has the units
+        titles = {name: short_name(spoken[name], _MOST_OF_A_NAME) for name in spoken}
+    shown = list(enumerate(record.iterations))[-(_FEW_SHOWN if is_long else _SHOWN) :]
     heads = [str(k) for k, _ in shown]
     if record.is_fitted:
         heads[-1] = "refined"
-    units = {known.name: known.unit for known in record.estimates}
     rows = [
-        (
-            quantity(name.replace("_", " "), units.get(name, "1")),
-            *(f"{values[name]:.4f}" for _, values in shown),
-        )
+        (titles[name], *(f"{values[name]:.4f}" for _, values in shown))
         for name in record.iterations[0]
     ]
     return [said, markdown_table(("k", *heads), rows)]

@@ -20,9 +20,9 @@ from analysis.review.drawing import (
     span_of,
     ticks,
 )
+from analysis.review.said_names import said_names
 from analysis.sysid.review.review_data import ShownColumn, SimulatorReviewData
 from analysis.terminal_table import markdown_table, quantity
-from recorders.simulators.base import Parameter
 from tunenet_logs.arrays import Array
 from tunenet_logs.terminal import short_name
 
@@ -134,7 +134,10 @@ def _log_parameter(stream: rr.RecordingStream, data: SimulatorReviewData, number
         span=span_of([*values, *(interval or ())], least),
         interval95=interval,
         chart=f"parameter_{number}",
-        title=_title(parameter, has_unit=is_narrow),
+        title=quantity(
+            short_name(said_names(one.name for one in data.parameters)[parameter.name], 26),
+            parameter.unit if is_narrow else "1",
+        ),
         figures=".4g",
         figure_width=_STACKED_FIGURE if is_narrow else _SMALL_FIGURE,
     )
@@ -142,17 +145,12 @@ def _log_parameter(stream: rr.RecordingStream, data: SimulatorReviewData, number
     return iterates_view(iterates)
 
 
-def _title(parameter: Parameter, *, has_unit: bool) -> str:
-    """Short: "elbow.damping [N·m·s/rad]" of joint/elbow.damping."""
-    name = short_name(parameter.name.partition("/")[2] or parameter.name, 26)
-    return quantity(name, parameter.unit if has_unit else "1")
-
-
 def _words(data: SimulatorReviewData, k: int) -> str:
     """An iteration: its values, and what it leaves."""
     iterate = data.iterates[k]
+    said = said_names(one.name for one in data.parameters)
     values = [
-        (short_name(one.name, 40), f"{value:.5g}", "-" if one.unit == "1" else one.unit)
+        (short_name(said[one.name], 32), f"{value:.5g}", "-" if one.unit == "1" else one.unit)
         for one, value in zip(data.parameters, iterate.values, strict=True)
     ]
     left = [

@@ -52,7 +52,7 @@ def main() -> None:
 
 
 def _limit() -> None:
-    """No more memory (on Linux: macOS enforces no limit) and time, whatever the file claims."""
+    """No more time and, where /proc tells what is used, memory, whatever the file claims."""
     with suppress(OSError), open("/proc/self/statm") as file:
         used = int(file.read().split()[0]) * resource.getpagesize()
         resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY_BYTES, used + MEMORY_BYTES))

@@ -114,6 +114,49 @@ def test_columns_leave_from_the_right_and_are_named():
     assert "left out, too wide for this terminal: rollouts, time;" in text.replace("\n", " ")
 
 
+ADDRESSES = {
+    "joint/shoulder_pan_joint.frictionloss [N·m]": ["0.0123", "-"],
+    "95 % interval": ["0.0120 to 0.0126", "-"],
+    "body/left_gripper_finger_link.inertia[2] [kg·m²]": ["0.0100 ± 0.0001", "-"],
+}
+
+
+def test_long_names_take_several_lines_before_a_column_leaves():
+    columns = {name: COLUMNS[name] for name in ("log", "verdict")} | ADDRESSES
+    lines = laid_out(columns, BELOW, 100).splitlines()
+    assert max(map(len, lines)) <= 100
+    joint, body = (lines[0].index(word) for word in ("joint/", "body/"))
+    assert [line[joint : joint + 19].rstrip() for line in lines[:3]] == [
+        "joint/",
+        "shoulder_pan_joint",
+        ".frictionloss [N·m]",
+    ]
+    assert "".join(line[body:].strip() for line in lines[:3]).replace(" ", "") == (
+        "body/left_gripper_finger_link.inertia[2][kg·m²]"
+    )
+    assert lines[2].startswith("log")
+    assert "0.0123" in lines[3]
+    assert "left out" not in "".join(lines)
+
+
+def test_at_80_columns_the_interval_stays_beside_a_long_name():
+    columns = {name: COLUMNS[name] for name in ("log", "verdict")} | ADDRESSES
+    lines = laid_out(columns, BELOW, 80).splitlines()
+    assert max(map(len, lines)) <= 80
+    assert "0.0120 to 0.0126" in lines[3]
+    assert "left out, too wide for this terminal: body/left_gripper" in " ".join(lines)
+
+
+@pytest.mark.parametrize("letters", [10, 30, 100])
+def test_one_log_with_a_long_name_stays_within_80_columns(letters: int):
+    name = f"joint/{'x' * letters}.frictionloss [N·m]"
+    columns = {"log": ["a.mcap"], "verdict": ["ok"], name: ["0.0123 ± 0.0001"]}
+    lines = laid_out({**columns, "y" * 50: ["0.1"]}, [[]], 80).splitlines()
+    assert max(map(len, lines)) <= 80
+    assert ("…" in "".join(lines)) == (letters == 100)
+    assert all(cells[0] in "".join(lines) for cells in columns.values())
+
+
 def test_without_a_width_nothing_is_left_out_or_wrapped():
     lines = laid_out(COLUMNS, BELOW, None).splitlines()
     assert lines[0].split()[-1] == "time"
