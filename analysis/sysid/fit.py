@@ -30,6 +30,9 @@ _TOGETHER = 40.0
 _CONTRADICTS, _WALK_FACTOR, _MOST_WALKS = 4.0, 3.0, 8
 """Of the cost, twice a log likelihood: two standard deviations; how a walk goes on until then."""
 
+_SECOND_DIFFERENCES = 6.0
+"""What the variance of a rough rollout grows by in them: 1 + 4 + 1."""
+
 _UNTOLD_SHARE = 0.25
 """Of a parameter's range: where 95 % reach further than this to each side, the log cannot tell."""
 
@@ -133,7 +136,10 @@ def fit_simulator(
         moved = finer(solution.values[None])[0] - (target.values + solution.residuals)
         moved = np.where(np.isfinite(moved), moved, 0.0)
         shift = np.abs(_moved_by(moved, solution, target, parameters))
-    wide = sd if shift is None else np.hypot(sd, shift)
+    rough = [_moved_by(bend, solution, target, parameters) for bend in solution.bends]
+    wide = np.hypot(sd, np.sqrt(np.mean(np.square(rough), axis=0) / _SECOND_DIFFERENCES))
+    if shift is not None:
+        wide = np.hypot(wide, shift)
     if unresolved is not None:  # the others follow what the step leaves unsure of one
         followed = cov * (unresolved / np.diag(cov))
         wide = np.sqrt(wide**2 + np.sum(followed**2, axis=1))

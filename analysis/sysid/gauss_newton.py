@@ -36,8 +36,8 @@ _CHANGE = 0.5
 """Once it is known, a step changes what is seen by this many noises, rms: contacts and dry friction
 make rollouts rough where they are looked at more closely."""
 
-_NARROW = 1 / 8
-"""Of that, where no step helps."""
+_WORTH = 2.0
+"""Of the cost: what a parabola through it has to promise where no step helps."""
 
 _NEAR = 0.5
 """Differences within which slopes stay as they are."""
@@ -66,6 +66,7 @@ class Solution:
         noise: what is left of each column, shape (C,).
         path: the values of each step, the start first.
         chosen: which of the M values it was fitted to.
+        bends: second differences of what the rollouts show, by the parameters, shape (P, M).
     """
 
     values: Array
@@ -74,6 +75,7 @@ class Solution:
     noise: Array
     path: tuple[Array, ...]
     chosen: NDArray[np.bool_]
+    bends: Array
 
 
 def ranges_of(parameters: Sequence[Parameter]) -> Array:
@@ -117,7 +119,7 @@ class RolloutLeastSquares:
         self._most = np.where(has_prior, 1.0, _MOST_STEP) * self._scales
         self._steps = np.where(has_prior, 0.2, _FIRST_STEP) * self._scales
         self._known: tuple[Array, Array, bool] | None = None
-        self._width = 1.0
+        self._beside: list[tuple[tuple[Array, Array], tuple[Array, Array]]] = []
 
     def residuals(self, values: Array) -> Array:
         """Simulated less observed at values of shape (N, P), shape (N, M)."""
@@ -205,7 +207,7 @@ class RolloutLeastSquares:
         All columns count alike at first; then each by what is left of it.
         """
         values = np.clip(start, *self._bounds)
-        path, self._width = [values], 1.0
+        path = [values]
         residuals = self.residuals(values[None])[0]
         noise = self.coarse()
         if np.any(self.left(residuals) > noise):
@@ -216,7 +218,8 @@ class RolloutLeastSquares:
             if np.allclose(self.left(residuals), noise, rtol=_SAME_NOISE):
                 break
         slopes = self._slopes(values, residuals, is_central=True)
-        return Solution(values, residuals, slopes, noise, tuple(path), self.chosen)
+        bends = np.stack([low[1] + high[1] - 2 * residuals for low, high in self._beside])
+        return Solution(values, residuals, slopes, noise, tuple(path), self.chosen, bends)
 
     def _descend(
         self,
@@ -235,7 +238,7 @@ class RolloutLeastSquares:
             normal, slope = self._equations(values, residuals, slopes, noise)
             sd = np.sqrt(np.diag(np.linalg.inv(normal))) * self._scales
             seen = np.sqrt(np.diag(normal) / self.chosen.sum()) / self._scales
-            self._steps = np.clip(_CHANGE * self._width / seen, self._least, self._most)
+            self._steps = np.clip(_CHANGE / seen, self._least, self._most)
             tried, off, new = values, residuals, cost
             for tries in range(_MOST_DAMPINGS):
                 step = self._step(values, normal, slope, damping)
@@ -249,12 +252,12 @@ class RolloutLeastSquares:
                 if new < cost:
                     break
                 damping = max(damping, 1e-3) * 10
-            if new >= cost:  # differences over a kink point uphill
-                if not is_central or self._width < 1:
-                    return values, residuals
-                self._width, self._known, damping = _NARROW, None, 1e-4
-                self._steps = _NARROW * self._steps
-                continue
+            if new >= cost and is_central:  # slopes over a kink may point uphill
+                tried = self._lowest_beside(values, residuals, noise)
+                off = self.residuals(tried[None])[0]
+                new, damping = self.cost(off, tried, noise), 1e-4
+            if new >= cost:
+                return values, residuals
             damping = max(damping / 30, 1e-7)
             moved, gain = np.abs(tried - values), cost - new
             values, residuals, cost = tried, off, new
@@ -262,6 +265,29 @@ class RolloutLeastSquares:
             if np.all(moved < _STILL * sd) or gain < _NO_GAIN:
                 break
         return values, residuals
+
+    def _lowest_beside(self, values: Array, residuals: Array, noise: Array) -> Array:
+        """Where the cost itself should be least along one parameter, shape (P,).
+
+        A parabola goes through what the central differences saw of it; that which promises most.
+        """
+        middle = self.cost(residuals, values, noise)
+        best, most = values, _WORTH
+        for number, (low, high) in enumerate(self._beside):
+            ends = [(one[number], self.cost(off, one, noise)) for one, off in (low, high)]
+            (left, at_left), (right, at_right) = sorted(ends)
+            down, up = values[number] - left, right - values[number]
+            if min(down, up) <= 0:
+                continue
+            falls, rises = (middle - at_left) / down, (at_right - middle) / up
+            bend = 2 * (rises - falls) / (down + up)
+            slope = (falls * up + rises * down) / (down + up)
+            if bend <= 0 or slope**2 / (2 * bend) <= most:
+                continue
+            most = slope**2 / (2 * bend)
+            best = values.copy()
+            best[number] = np.clip(values[number] - slope / bend, left, right)
+        return best
 
     def _slopes(self, values: Array, residuals: Array, *, is_central: bool = False) -> Array:
         """Finite differences, shape (M, P): to one side on the way, to both at its end.
@@ -285,6 +311,10 @@ class RolloutLeastSquares:
         before = off[count:] if is_central else np.repeat(residuals[None], count, axis=0)
         widths = np.diag(rows[:count]) - (np.diag(rows[count:]) if is_central else values)
         slopes = ((off[:count] - before) / widths[:, None]).T
+        if is_central:
+            both = [list(zip(part, seen, strict=True)) for part, seen in (
+                (rows[:count], off[:count]), (rows[count:], off[count:]))]
+            self._beside = list(zip(*both, strict=True))
         self._known = (values, slopes, is_central)
         return slopes
 
