@@ -11,6 +11,9 @@ _SECONDS, _MOST_SAMPLES, _LEAST_SAMPLES = 0.12, 40, 4
 _CAUTION = 3.0
 """What the priors are wider by than the noise alone says: speeds change in the first samples."""
 
+_STAYS_S, _SCATTERS = 0.5, 2.0
+"""For how long what begins at rest is looked at, and how much it may scatter, in its noise."""
+
 Samples = tuple[Array, Array]
 """Stamps [ns] and values."""
 
@@ -42,3 +45,11 @@ def beginning(
     found = inverse @ (matrix.T @ wanted)
     sds = _CAUTION * np.sqrt(np.maximum(np.diag(inverse), 0.0))
     return (float(found[0]), float(found[1])), (float(sds[0]), float(sds[1])), positions is not None
+
+
+def stays(samples: Samples | None, stamp_ns: int) -> bool:
+    """Whether what is sampled only scatters for a while after a stamp."""
+    if samples is None:
+        return True
+    first = samples[1][samples[0] <= stamp_ns + 1e9 * _STAYS_S]
+    return float(np.std(first)) <= _SCATTERS * noise_of(samples[1])

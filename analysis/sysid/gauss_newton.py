@@ -312,8 +312,10 @@ class RolloutLeastSquares:
         widths = np.diag(rows[:count]) - (np.diag(rows[count:]) if is_central else values)
         slopes = ((off[:count] - before) / widths[:, None]).T
         if is_central:
-            both = [list(zip(part, seen, strict=True)) for part, seen in (
-                (rows[:count], off[:count]), (rows[count:], off[count:]))]
+            both = [
+                list(zip(part, seen, strict=True))
+                for part, seen in ((rows[:count], off[:count]), (rows[count:], off[count:]))
+            ]
             self._beside = list(zip(*both, strict=True))
         self._known = (values, slopes, is_central)
         return slopes

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from analysis.sysid.beginning import Samples, beginning
+from analysis.sysid.beginning import Samples, beginning, stays
 from analysis.sysid.initial_turn import InitialTurn, initial_turn
 from recorders.simulators.base import Parameter
 from recorders.simulators.mujoco.library import mujoco
@@ -42,7 +42,8 @@ def initial_state(model: Any, sensed: Sequence[SensedSignal], stamp_ns: int) -> 
         if found is None:
             continue
         (position, speed), (position_sd, speed_sd), knows_position = found
-        if abs(position - qpos[place_q]) < position_sd and abs(speed) < speed_sd:
+        is_near = abs(position - qpos[place_q]) < position_sd and abs(speed) < speed_sd
+        if is_near and stays(positions, stamp_ns) and stays(speeds, stamp_ns):
             continue  # as the model has it, such as a body that lies on the ground
         if knows_position:
             qpos[place_q] = position

@@ -31,7 +31,7 @@ _REST_S = 1.0
 
 BLOCK = """\
 <mujoco model="block on a floor">
-  <option timestep="0.0005" cone="elliptic" impratio="100" gravity="{gravity}"/>
+  <option timestep="0.00025" cone="elliptic" impratio="0.1" gravity="{gravity}"/>
   <default>
     <geom solref="-60000 -150" solimp="0.999 0.999 0.0001 0.5 2"/>
   </default>
@@ -45,8 +45,9 @@ BLOCK = """\
 </mujoco>
 """
 """Of two geoms that touch, MuJoCo takes the larger friction. Its contacts push a sliding block
-off the floor, by friction times speed times damping over stiffness: this floor is stiff and damps
-little."""
+off the floor, by friction times speed times damping over stiffness, and let it creep before it
+stops, by more the less they damp: this floor is stiff, damps little, and lets it creep by 0.15 mm
+at a friction of 0.65. A long step and a high impratio make it hop."""
 
 
 @dataclass(frozen=True, eq=False)
