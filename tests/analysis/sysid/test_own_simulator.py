@@ -69,13 +69,14 @@ def test_the_samples_are_as_they_are_made(tmp_path: Path):
         assert path.read_bytes() == (MODELS / path.name).read_bytes(), path.name
 
 
-def test_efforts_that_jump_with_each_command_trap_no_delay(tmp_path: Path):
-    log = ARM.log(1_000_001, 2.0)  # from here a fit to all columns alike ends 5 ms late
+@pytest.mark.parametrize("seed", [1_000_001, 1_000_003])
+def test_efforts_that_jump_with_each_command_trap_no_delay(seed: int, tmp_path: Path):
+    log = ARM.log(seed, 2.0)  # where a fit to all columns alike, or by slopes alone, ends too late
     tuning = tuned(log, tmp_path)
     assert tuning.trace is not None
     assert tuning.verdict == "ok"
     delay_s = tuning.trace.estimate[log.tune.index("delay/commands=0:0.1")]
-    assert abs(delay_s - log.truth["delay/commands"]) < 0.001
+    assert abs(delay_s - log.truth["delay/commands"]) < 0.0005
 
 
 def test_what_a_log_cannot_tell_is_named(tmp_path: Path):

@@ -197,6 +197,15 @@ def test_a_position_is_a_bodys_by_topic_or_frame(name: str):
     assert state.qpos.shape == (9,)
 
 
+@pytest.mark.parametrize(("speed_m_s", "is_unsure"), [(0.0, False), (0.05, True)])
+def test_what_begins_as_the_model_does_but_moves_is_unsure(speed_m_s: float, is_unsure: bool):
+    scatter = np.random.default_rng(1).normal(size=(50, 3)) * 0.001
+    scatter[:, 1] += speed_m_s * np.arange(50) * STEP_NS * 1e-9
+    found = match(signal("/block.1/pose", ("x", "y", "z"), "m", values=scatter))
+    unsure = [one.name for one in initial_state(model_of(), found.sensed, START_NS).unsure]
+    assert ("initial/block.1.y.velocity" in unsure) is is_unsure
+
+
 def test_positions_of_nothing_in_the_model_and_of_the_world_are_listed():
     found = match(STATES, *(signal(name, ("x", "y", "z"), "m") for name in ("/world", "/tf.cup")))
     assert [one.partition(":")[0] for one in found.unused] == ["/world", "/tf.cup"]
