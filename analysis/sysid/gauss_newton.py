@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.sysid.compared import ComparedColumns
+from analysis.sysid.differences import Differences, differences
 from recorders.simulators.base import Parameter
 from tunenet_logs.arrays import Array
 
@@ -38,9 +40,6 @@ make rollouts rough where they are looked at more closely."""
 
 _WORTH = 2.0
 """Of the cost: what a parabola through it has to promise where no step helps."""
-
-_NEAR = 0.5
-"""Differences within which slopes stay as they are."""
 
 _FOLLOWED = 4
 """Steps of all others where one parameter is moved."""
@@ -118,8 +117,7 @@ class RolloutLeastSquares:
         self._least = _LEAST_STEP * self._scales
         self._most = np.where(has_prior, 1.0, _MOST_STEP) * self._scales
         self._steps = np.where(has_prior, 0.2, _FIRST_STEP) * self._scales
-        self._known: tuple[Array, Array, bool] | None = None
-        self._beside: list[tuple[tuple[Array, Array], tuple[Array, Array]]] = []
+        self._known: Differences | None = None
 
     def residuals(self, values: Array) -> Array:
         """Simulated less observed at values of shape (N, P), shape (N, M)."""
@@ -217,9 +215,8 @@ class RolloutLeastSquares:
             values, residuals = self._descend(values, residuals, noise, path, is_central=True)
             if np.allclose(self.left(residuals), noise, rtol=_SAME_NOISE):
                 break
-        slopes = self._slopes(values, residuals, is_central=True)
-        bends = np.stack([low[1] + high[1] - 2 * residuals for low, high in self._beside])
-        return Solution(values, residuals, slopes, noise, tuple(path), self.chosen, bends)
+        seen = self._differences(values, residuals, is_central=True)
+        return Solution(values, residuals, seen.slopes, noise, tuple(path), self.chosen, seen.bends)
 
     def _descend(
         self,
@@ -234,8 +231,8 @@ class RolloutLeastSquares:
         cost = self.cost(residuals, values, noise)
         damping = 1e-4
         for _ in range(_MOST_STEPS):
-            slopes = self._slopes(values, residuals, is_central=is_central)
-            normal, slope = self._equations(values, residuals, slopes, noise)
+            beside = self._differences(values, residuals, is_central=is_central)
+            normal, slope = self._equations(values, residuals, beside.slopes, noise)
             sd = np.sqrt(np.diag(np.linalg.inv(normal))) * self._scales
             seen = np.sqrt(np.diag(normal) / self.chosen.sum()) / self._scales
             self._steps = np.clip(_CHANGE / seen, self._least, self._most)
@@ -252,12 +249,15 @@ class RolloutLeastSquares:
                 if new < cost:
                     break
                 damping = max(damping, 1e-3) * 10
-            if new >= cost and is_central:  # slopes over a kink may point uphill
-                tried = self._lowest_beside(values, residuals, noise)
+            if new >= cost:  # slopes over a kink may point uphill
+                lowest = beside.lowest(partial(self.cost, noise=noise), _WORTH)
+                if lowest is None:
+                    return values, residuals
+                tried, damping = np.clip(lowest, *self._bounds), 1e-4
                 off = self.residuals(tried[None])[0]
-                new, damping = self.cost(off, tried, noise), 1e-4
-            if new >= cost:
-                return values, residuals
+                new = self.cost(off, tried, noise)
+                if new >= cost:
+                    return values, residuals
             damping = max(damping / 30, 1e-7)
             moved, gain = np.abs(tried - values), cost - new
             values, residuals, cost = tried, off, new
@@ -266,59 +266,18 @@ class RolloutLeastSquares:
                 break
         return values, residuals
 
-    def _lowest_beside(self, values: Array, residuals: Array, noise: Array) -> Array:
-        """Where the cost itself should be least along one parameter, shape (P,).
-
-        A parabola goes through what the central differences saw of it; that which promises most.
-        """
-        middle = self.cost(residuals, values, noise)
-        best, most = values, _WORTH
-        for number, (low, high) in enumerate(self._beside):
-            ends = [(one[number], self.cost(off, one, noise)) for one, off in (low, high)]
-            (left, at_left), (right, at_right) = sorted(ends)
-            down, up = values[number] - left, right - values[number]
-            if min(down, up) <= 0:
-                continue
-            falls, rises = (middle - at_left) / down, (at_right - middle) / up
-            bend = 2 * (rises - falls) / (down + up)
-            slope = (falls * up + rises * down) / (down + up)
-            if bend <= 0 or slope**2 / (2 * bend) <= most:
-                continue
-            most = slope**2 / (2 * bend)
-            best = values.copy()
-            best[number] = np.clip(values[number] - slope / bend, left, right)
-        return best
-
-    def _slopes(self, values: Array, residuals: Array, *, is_central: bool = False) -> Array:
-        """Finite differences, shape (M, P): to one side on the way, to both at its end.
-
-        They are kept for values that are nearer than half of a difference.
-        """
-        if self._known is not None:
-            at, slopes, were_central = self._known
-            is_near = bool(np.all(np.abs(values - at) <= _NEAR * self._steps))
-            if is_near and were_central >= is_central:
-                return slopes
-        low, high = self._bounds
-        steps = np.where(values + self._steps > high, -self._steps, self._steps)
-        count = len(values)
-        rows = np.repeat(values[None], 2 * count if is_central else count, axis=0)
-        for number in range(count):
-            rows[number, number] += steps[number]
-            if is_central and low[number] <= values[number] - steps[number] <= high[number]:
-                rows[count + number, number] -= steps[number]
-        off = self.residuals(rows)
-        before = off[count:] if is_central else np.repeat(residuals[None], count, axis=0)
-        widths = np.diag(rows[:count]) - (np.diag(rows[count:]) if is_central else values)
-        slopes = ((off[:count] - before) / widths[:, None]).T
-        if is_central:
-            both = [
-                list(zip(part, seen, strict=True))
-                for part, seen in ((rows[:count], off[:count]), (rows[count:], off[count:]))
-            ]
-            self._beside = list(zip(*both, strict=True))
-        self._known = (values, slopes, is_central)
-        return slopes
+    def _differences(
+        self, values: Array, residuals: Array, *, is_central: bool = False
+    ) -> Differences:
+        """To one side on the way, to both at its end; those of values nearby where there are."""
+        known = self._known
+        enough = known is not None and known.is_central >= is_central
+        if known is None or not enough or not known.is_near(values, self._steps):
+            known = differences(
+                self.residuals, values, residuals, self._steps, self._bounds, is_central=is_central
+            )
+        self._known = known
+        return known
 
     def one_step(self, solution: Solution) -> tuple[Array, Array]:
         """Values and residuals of a fit to the chosen samples, by one step from another solution.

@@ -29,7 +29,8 @@ def test_95_percent_intervals_cover(memory: float, least: float):
         values = np.linalg.lstsq(slopes, target.values, rcond=None)[0].astype(np.float64)
         residuals = line(values) - target.values
         everything = np.ones(len(SECONDS), bool)
-        solution = Solution(values, residuals, slopes, target.rms(residuals), (), everything)
+        noise_left, no_bends = target.rms(residuals), np.zeros((2, len(SECONDS)))
+        solution = Solution(values, residuals, slopes, noise_left, (), everything, no_bends)
         found, independent = covariance(solution, target, parameters)
         half = t.ppf(0.975, max(independent - 2, 1)) * np.sqrt(np.diag(found))
         inside += np.abs(values - truth) < half
