@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import cv2
@@ -11,7 +13,11 @@ import numpy as np
 import pytest
 
 from recorders.simulators.mujoco.model_file import read_model
+from tests.conftest import ROOT
 from tunenet_logs.errors import UsageError
+
+READS = "from recorders.simulators.mujoco.model_file import read_model"
+MINIMAL = '<mujoco><worldbody><body><joint/><geom size=".1"/></body></worldbody></mujoco>'
 
 TETRAHEDRON = (
     b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"  # of 1/6 m³
@@ -94,6 +100,14 @@ def test_a_model_is_what_mujoco_itself_reads(tmp_path: Path):
     ours, theirs = read_model(path).compile(), stock.MjModel.from_xml_path(str(path))  # pyright: ignore[reportAttributeAccessIssue]
     for name in ("body_mass", "body_inertia", "body_ipos", "geom_pos", "geom_quat", "mesh_vert"):
         np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
+
+
+def test_a_model_that_is_written_in_an_old_way_says_nothing(tmp_path: Path):
+    path = tmp_path / "old.xml"
+    path.write_text(MINIMAL.replace("<worldbody>", '<compiler settotalmass="2"/><worldbody>'))
+    reads = f"from pathlib import Path; {READS}; read_model(Path({str(path)!r})).compile()"
+    said = subprocess.run([sys.executable, "-c", reads], capture_output=True, text=True, cwd=ROOT)
+    assert (said.returncode, said.stderr) == (0, "")
 
 
 def test_models_attach_models(tmp_path: Path):

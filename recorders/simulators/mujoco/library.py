@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from functools import cache
 from types import ModuleType
 
@@ -11,4 +12,6 @@ def mujoco() -> ModuleType:
     """The library's module, whose names its own type stubs leave out."""
     import mujoco as module
 
+    # what a stranger's model says in an old way, MuJoCo says at each compilation
+    warnings.filterwarnings("ignore", "compiler attribute .* is deprecated", UserWarning)
     return module
