@@ -88,7 +88,10 @@ def test_what_a_log_cannot_tell_is_named(tmp_path: Path):
     assert tuning.verdict == "suspect"
 
 
-@pytest.mark.parametrize("machine", [PENDULUM, BLOCK], ids=lambda machine: machine.name)
+@pytest.mark.parametrize(
+    "machine",
+    [pytest.param(PENDULUM, marks=pytest.mark.slow, id="pendulum"), pytest.param(BLOCK, id="block")],
+)
 def test_a_model_of_another_machine_is_not_ok(machine: object, tmp_path: Path):
     assert machine in MACHINES
     log = machine.log(7, 1.0)  # pyright: ignore[reportAttributeAccessIssue]
