@@ -90,7 +90,10 @@ def test_what_a_log_cannot_tell_is_named(tmp_path: Path):
 
 @pytest.mark.parametrize(
     "machine",
-    [pytest.param(PENDULUM, marks=pytest.mark.slow, id="pendulum"), pytest.param(BLOCK, id="block")],
+    [
+        pytest.param(PENDULUM, marks=pytest.mark.slow, id="pendulum"),
+        pytest.param(BLOCK, id="block"),
+    ],
 )
 def test_a_model_of_another_machine_is_not_ok(machine: object, tmp_path: Path):
     assert machine in MACHINES
