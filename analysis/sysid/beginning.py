@@ -52,4 +52,4 @@ def stays(samples: Samples | None, stamp_ns: int) -> bool:
     if samples is None:
         return True
     first = samples[1][samples[0] <= stamp_ns + 1e9 * _STAYS_S]
-    return float(np.std(first)) <= _SCATTERS * noise_of(samples[1])
+    return not len(first) or float(np.std(first)) <= _SCATTERS * noise_of(samples[1])
