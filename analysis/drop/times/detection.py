@@ -108,29 +108,30 @@ class TimesDetection:
 
     @cached_property
     def target(self) -> Observation:
-        """o_T: when each impact was heard; NaN of one that was not."""
+        """o_T: when each impact was heard, less the contacts before it; NaN of one that was not."""
         heard = self.heard
         values = np.full(int(heard.numbers.max()) + 1, np.nan)
-        values[heard.numbers] = heard.times_s * heard.seconds_s
+        values[heard.numbers] = heard.heard_contactless_s * heard.seconds_s
         return _observation(values[heard.told :])
 
     @cached_property
     def rig_of_rollouts(self) -> DropRig:
         """The fall that ends with the first impact that is told, and as many bounces.
 
-        The clock's zero is the log's; without a clock, seconds are those of the fit.
+        The clock's zero is the log's; without a clock, seconds are those of the fit. Its impacts
+        take no time, so its clock is less by the contacts; see `HeardBall.contactless_s`.
         """
         heard = self.heard
         fall_m = heard.fall_m
         lasts_s = lands_after_s(fall_m, 0.0, GRAVITY_M_S2, float(heard.values[2]))
-        impacts_s = heard.predicted_s * heard.seconds_s
+        impacts_s = heard.contactless_s * heard.seconds_s
         release_s = float(impacts_s[heard.told]) - lasts_s
         apart_s = np.diff(impacts_s)
         until_s = float(impacts_s[-1] + _MORE_FLIGHTS * apart_s[-1]) - release_s
         rate_hz = float(np.clip(_PER_FLIGHT / apart_s.min(), *_RATES_HZ))
         rate_hz = min(rate_hz, _MOST_SAMPLES / until_s)
         even_s = np.arange(int(np.ceil(until_s * rate_hz)) + 1) / rate_hz
-        heard_s = heard.times_s * heard.seconds_s - release_s
+        heard_s = heard.heard_contactless_s * heard.seconds_s - release_s
         own = heard_s[heard_s > 0]
         apart = np.abs(own[:, None] - even_s).min(axis=1) > _SAME_S
         return DropRig(

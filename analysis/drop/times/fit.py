@@ -2,7 +2,9 @@
 
 For every slope and drag of a grid the time of the first impact, the speed after it and the
 restitution at the second are fitted by least squares; likelihood, priors and the unknown jitter of
-the times weigh them. With the height of the drop the restitution at the first impact follows too.
+the times weigh them. A ball stays on the table for a moment at each impact: how long it does is one
+more unknown, in closed form. With the height of the drop the restitution at the first impact
+follows too.
 """
 
 from __future__ import annotations
@@ -19,6 +21,9 @@ from tunenet_logs.arrays import Array
 
 HEIGHT_SD, LEAST_HEIGHT_SD_M = 0.005, 0.003
 """By how much a height may be off that was measured by hand: a fraction, and a length [m]."""
+
+CONTACT_S, CONTACT_SD_S = 0.002, 0.0025
+"""How long a ball touches the table: a steel ball .2 ms, a soft one 8 ms."""
 
 _FREEDOM = 2.0
 """Of the height's distribution."""
@@ -50,11 +55,13 @@ class Rig:
         drag_1_m: of the ball; None where it is not known.
         height_m: of the drop whose first impact is heard first; None where it is not known.
         has_clock: whether the seconds are true.
+        jitter_s: usual standard deviation of a time.
     """
 
     drag_1_m: float | None = None
     height_m: float | None = None
     has_clock: bool = True
+    jitter_s: float = priors.TRIGGER_JITTER_S
 
     @property
     def height_sd_m(self) -> float:
@@ -75,6 +82,7 @@ class Balls:
         drags_1_m: likewise.
         jitters_s: of the times.
         begins: log speed after the first impact [m/s].
+        contacts_s: how long each touches the table.
         log_evidence: of all together, against noises: see `fit_times`.
         height_sds: by how many standard deviations the law's first rebound is off from what the
             height asks for; 0 without a height.
@@ -87,6 +95,7 @@ class Balls:
     drags_1_m: Array
     jitters_s: Array
     begins: Array
+    contacts_s: Array
     log_evidence: float
     height_sds: float
 
@@ -139,9 +148,12 @@ class _Fit:
 
     Attributes:
         unknowns: time of the first impact [s], log speed after it [m/s], restitution at the second;
-            shape (M, 3).
+            shape (M, 3), of balls that touch the table for the usual time.
         spread: of them, for a jitter of 1 s, shape (M, 3, 3).
         squares: sum of the squared residuals, shape (M,) [s²].
+        leans: change of the unknowns with longer contacts, shape (M, 3) [1/s].
+        across: sum of the residuals times what a contact of 1 s more makes of them, shape (M,) [s].
+        bends: sum of the squares of the latter, shape (M,).
         seconds_m_s: speed of the second impact, shape (M,).
         count: N, of the times.
     """
@@ -149,6 +161,9 @@ class _Fit:
     unknowns: Array
     spread: Array
     squares: Array
+    leans: Array
+    across: Array
+    bends: Array
     seconds_m_s: Array
     count: int
 
@@ -160,9 +175,12 @@ class _Fit:
         def flown(begin: Array, kept: Array) -> FlightTimes:
             return flights(count, np.exp(begin), kept, nodes.slopes, nodes.drags_1_m)
 
+        longer = numbers.astype(np.float64)  # each contact before a time delays it
+        times_s = times_s - CONTACT_S * longer
         start = _ideal(times_s, numbers)
         unknowns = np.tile(start, (len(nodes.slopes), 1))
-        first = np.zeros((len(times_s), len(unknowns)))
+        first = left = np.zeros((len(times_s), len(unknowns)))
+        leans = np.zeros_like(unknowns)
         seconds, spread = unknowns[:, 0], np.zeros((len(unknowns), 3, 3))
         for step in range(_ITERATIONS + 1):
             begin, kept = unknowns[:, 1], unknowns[:, 2]
@@ -182,13 +200,17 @@ class _Fit:
             normal += 1e-12 * np.eye(3)
             spread = np.linalg.inv(normal)
             if step == _ITERATIONS:
+                leans = -np.einsum("mij,nmj,n->mi", spread, jacobian, longer)
+                left = longer[:, None] + np.einsum("nmi,mi->nm", jacobian, leans)
                 break
             gradient = np.einsum("nmi,nm->mi", jacobian, first)
             moves = np.einsum("mij,mj->mi", spread, gradient)
             moves[:, 1:] = np.clip(moves[:, 1:], -0.15, 0.15)
             unknowns = unknowns + moves
             unknowns[:, 2] = np.clip(unknowns[:, 2], 0.01, 1.3)
-        return cls(unknowns, spread, (first**2).sum(axis=0), seconds, len(times_s))
+        across, bends = (first * left).sum(axis=0), (left**2).sum(axis=0)
+        squares = (first**2).sum(axis=0)
+        return cls(unknowns, spread, squares, leans, across, bends, seconds, len(times_s))
 
 
 def _ideal(times_s: Array, numbers: NDArray[np.int64]) -> Array:
@@ -205,20 +227,56 @@ def _ideal(times_s: Array, numbers: NDArray[np.int64]) -> Array:
     return np.array([begin[best], np.log(speed_m_s), _TRIED[best]])
 
 
+@dataclass(frozen=True, eq=False)
+class _Told:
+    """What a fit tells of every ball with every jitter, contacts averaged over.
+
+    Attributes:
+        middles: log speed after the first impact [m/s] and restitution at the second, shape
+            (M, J, 2).
+        covariances: of them, shape (M, J, 2, 2).
+        contacts_s: how long the ball touches the table, shape (M, J).
+        log_gains: what the contacts add to the logarithm of the evidence, shape (M, J).
+    """
+
+    middles: Array
+    covariances: Array
+    contacts_s: Array
+    log_gains: Array
+
+    @classmethod
+    def of(cls, fit: _Fit) -> _Told:
+        """A contact's prior is normal, and what it changes linear: all in closed form."""
+        jitters = priors.JITTERS_S
+        sharpness = fit.bends[:, None] / jitters**2 + CONTACT_SD_S**-2
+        pull = fit.across[:, None] / jitters**2
+        longer_s = pull / sharpness
+        leans = fit.leans[:, None, 1:]
+        own = jitters[:, None, None] ** 2 * fit.spread[:, None, 1:, 1:]
+        shared = leans[..., :, None] * leans[..., None, :] / sharpness[..., None, None]
+        return cls(
+            fit.unknowns[:, None, 1:] + leans * longer_s[..., None],
+            own + shared,
+            CONTACT_S + longer_s,
+            0.5 * pull**2 / sharpness - 0.5 * np.log(sharpness * CONTACT_SD_S**2),
+        )
+
+
 def _weighed(fit: _Fit, nodes: priors.Nodes, log_rate: float, rig: Rig) -> Balls:
     """Every ball of the grid with every jitter, by the evidence of each."""
     jitters = priors.JITTERS_S
     free = fit.count - 3
-    log = nodes.log_prior[:, None] + priors.log_jitter_prior()[None, :]
+    told = _Told.of(fit)
+    log = nodes.log_prior[:, None] + priors.log_jitter_prior(rig.jitter_s)[None, :]
+    log = log + told.log_gains
     log = log - fit.squares[:, None] / (2 * jitters**2) - free * np.log(jitters)
     log = log + 0.5 * np.linalg.slogdet(fit.spread)[1][:, None]
     log -= 0.5 * free * np.log(2 * np.pi) + np.log(_FLIGHT_RANGE) + (fit.count - 1) * log_rate
-    variance = jitters**2 * fit.spread[:, 2, 2][:, None]
-    value = np.broadcast_to(fit.unknowns[:, 2][:, None], log.shape)
-    begin = np.broadcast_to(fit.unknowns[:, 1][:, None], log.shape)
+    begin, value = told.middles[..., 0], told.middles[..., 1]
+    variance = told.covariances[..., 1, 1]
     off_sds = np.zeros_like(log)
     if rig.height_m is not None:
-        value, variance, begin, off_sds, height_log = _from_height(fit, nodes, rig)
+        value, variance, begin, off_sds, height_log = _from_height(told, fit.seconds_m_s, nodes, rig)
         log = log + height_log
     most = log.max()
     weights = np.exp(log - most)
@@ -235,13 +293,14 @@ def _weighed(fit: _Fit, nodes: priors.Nodes, log_rate: float, rig: Rig) -> Balls
         drags_1_m=nodes.drags_1_m[rows],
         jitters_s=jitters[columns],
         begins=begin[rows, columns],
+        contacts_s=told.contacts_s[rows, columns],
         log_evidence=evidence,
         height_sds=float(chosen @ off_sds[rows, columns]),
     )
 
 
 def _from_height(
-    fit: _Fit, nodes: priors.Nodes, rig: Rig
+    told: _Told, seconds_m_s: Array, nodes: priors.Nodes, rig: Rig
 ) -> tuple[Array, Array, Array, Array, Array]:
     """The restitution at the first impact by height and law, shape (M, J).
 
@@ -253,29 +312,27 @@ def _from_height(
         deviations the law is off, and the logarithm of what that does to the weights.
     """
     assert rig.height_m is not None
-    jitters = priors.JITTERS_S
-    arrives = fallen_m_s(rig.height_m, nodes.drags_1_m)
+    slopes = nodes.slopes[:, None]
+    arrives = fallen_m_s(rig.height_m, nodes.drags_1_m)[:, None]
     arrives_sd = 0.5 * rig.height_sd_m / rig.height_m
-    begin, kept = fit.unknowns[:, 1], np.maximum(fit.unknowns[:, 2], 0.01)
+    begin, kept = told.middles[..., 0], np.maximum(told.middles[..., 1], 0.01)
     # f = log e_2 - p log(v_1 / v_2) - log w_1 + log v_1, which is 0 by the law
-    off = np.log(kept) + (1 - nodes.slopes) * np.log(arrives) - begin
-    off = off + nodes.slopes * np.log(fit.seconds_m_s)
-    bent = (fit.seconds_m_s / np.exp(begin)) ** 2  # d log v_2 / d log w_1
-    by_begin, by_kept, by_arrives = nodes.slopes * bent - 1, 1 / kept, 1 - nodes.slopes
-    spread = fit.spread[:, 1:, 1:]
-    row = np.column_stack([by_begin, by_kept])
-    across = np.einsum("mij,mj->mi", spread, row)  # of log w_1 and e_2, for a jitter of 1 s
-    told = jitters**2 * np.einsum("mi,mi->m", row, across)[:, None]
+    off = np.log(kept) + (1 - slopes) * np.log(arrives) - begin
+    off = off + slopes * np.log(seconds_m_s[:, None])
+    bent = (seconds_m_s[:, None] / np.exp(begin)) ** 2  # d log v_2 / d log w_1
+    by_arrives = 1 - slopes
+    row = np.stack([slopes * bent - 1, 1 / kept], axis=-1)
+    across = np.einsum("mjab,mjb->mja", told.covariances, row)  # with log w_1 and e_2
     arrives_move = by_arrives * arrives_sd**2
-    variance = told + (by_arrives * arrives_move)[:, None]
+    variance = np.einsum("mja,mja->mj", row, across) + by_arrives * arrives_move
     # log e_1 = log w_1 - log v_1, before and after f = 0 is told
     before = begin - np.log(arrives)
-    covariance = jitters**2 * across[:, 0][:, None] - arrives_move[:, None]
-    log_value = before[:, None] - covariance / variance * off[:, None]
-    own = jitters**2 * spread[:, 0, 0][:, None] + arrives_sd**2
+    covariance = across[..., 0] - arrives_move
+    log_value = before - covariance / variance * off
+    own = told.covariances[..., 0, 0] + arrives_sd**2
     log_variance = np.maximum(own - covariance**2 / variance, 0.0)
     value = np.exp(log_value)
-    begins = begin[:, None] - jitters**2 * across[:, 0][:, None] / variance * off[:, None]
-    square = off[:, None] ** 2 / variance  # a height may be wrong altogether: Student's t
+    begins = begin - across[..., 0] / variance * off
+    square = off**2 / variance  # a height may be wrong altogether: Student's t
     likely = -0.5 * (_FREEDOM + 1) * np.log1p(square / _FREEDOM) - 0.5 * np.log(variance)
-    return value, value**2 * log_variance, begins, np.abs(off[:, None]) / np.sqrt(variance), likely
+    return value, value**2 * log_variance, begins, np.abs(off) / np.sqrt(variance), likely

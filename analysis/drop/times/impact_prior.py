@@ -24,8 +24,12 @@ _LOG_SCALE_SD = 0.7
 KNOWN_DRAG = 0.1
 """Fraction by which a drag may be off that follows from a ball's mass and size."""
 
-_USUAL_JITTER_S, _LOG_JITTER_SD = 0.001, 0.9
-"""Of a time: log normal. A trigger at a sound's threshold has .1 to 5 ms."""
+TRIGGER_JITTER_S, ONSET_JITTER_S = 0.001, 0.00025
+"""Usual standard deviation of a time: of a trigger at a sound's threshold, which has .1 to 5 ms,
+and of an onset that is looked for in the sound."""
+
+_LOG_JITTER_SD = 0.9
+"""Of either: log normal."""
 
 _LOW_SLOPE, _HIGH_SLOPE = -0.25, 0.45
 _LOW_DRAG_1_M, _HIGH_DRAG_1_M = 5e-4, 0.6
@@ -50,9 +54,9 @@ class Nodes:
     log_prior: Array
 
 
-def log_jitter_prior() -> Array:
+def log_jitter_prior(usual_s: float) -> Array:
     """Of each of `JITTERS_S`, adding up to 1 before the logarithm."""
-    off = np.log(JITTERS_S / _USUAL_JITTER_S) / _LOG_JITTER_SD
+    off = np.log(JITTERS_S / usual_s) / _LOG_JITTER_SD
     weights = np.exp(-0.5 * off**2)
     return np.log(weights / weights.sum())
 

@@ -18,12 +18,19 @@ _SAME_S = 5e-9
 
 
 def simulated_m(detection: TimesDetection, step: Step) -> tuple[Array, Array]:
-    """Times on the log's clock [s] and heights above the table [m] of an iterate, each (T,)."""
+    """Times on the log's clock [s] and heights above the table [m] of an iterate, each (T,).
+
+    The rollout leaves the table at once, the ball after a contact: each flight takes the contact
+    before it along.
+    """
     assert step.evaluation is not None
     signal = next(iter(step.evaluation.episode.signals.values()))
     seconds = (signal.stamps_ns - detection.start_ns).astype(np.float64) * 1e-9
     heights_m = signal.values[:, 2] - detection.rig_of_rollouts.radius_m
-    return seconds / detection.heard.seconds_s, heights_m
+    heard = detection.heard
+    seconds = seconds / heard.seconds_s
+    without, late = heard.contactless_s, heard.predicted_s - heard.contactless_s
+    return seconds + np.interp(seconds, without, late), heights_m
 
 
 def heard_motion(detection: TimesDetection, trace: Trace) -> Motion:
@@ -32,7 +39,11 @@ def heard_motion(detection: TimesDetection, trace: Trace) -> Motion:
         return Motion(untold=_untold(detection))
     seconds, heights_m = simulated_m(detection, trace.steps[-1])
     observed_m = np.full(len(seconds), np.nan)
-    heard_s = detection.heard.times_s
+    heard = detection.heard
+    late = heard.predicted_s - heard.contactless_s
+    heard_s = heard.heard_contactless_s + np.interp(
+        heard.heard_contactless_s, heard.contactless_s, late
+    )
     at = np.clip(np.searchsorted(seconds, heard_s - _SAME_S), 0, len(seconds) - 1)
     there = np.abs(seconds[at] - heard_s) <= _SAME_S
     observed_m[at[there]] = 0.0

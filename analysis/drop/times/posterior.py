@@ -53,6 +53,7 @@ class HeardBall:
         times_s: of its impacts, as they were heard, shape (N,) [s].
         rig: what was known.
         jitter_s: standard deviation of a time.
+        contact_s: how long the ball touches the table at each impact.
         log_odds: logarithm of the odds against noises at random times.
         rhythm: what explains the times best of all that is no ball, and the logarithm of a ball's
             odds against it.
@@ -68,6 +69,7 @@ class HeardBall:
     times_s: Array
     rig: Rig
     jitter_s: float
+    contact_s: float
     log_odds: float
     rhythm: tuple[str, float]
     height_sds: float
@@ -92,8 +94,23 @@ class HeardBall:
 
     @property
     def predicted_s(self) -> Array:
-        """Of all impacts by the values, shape (I,) [s]."""
-        return self.begin_s + self.flown.impacts_s[:, 0] / self.seconds_s
+        """When each impact begins by the values, shape (I,) [s]."""
+        flown_s = self.flown.impacts_s[:, 0] / self.seconds_s
+        return self.begin_s + flown_s + self.contact_s * np.arange(len(flown_s))
+
+    @property
+    def contactless_s(self) -> Array:
+        """When a ball of the same flights would hit that leaves at once: `predicted_s` then."""
+        return self.predicted_s - self._delays_s(np.arange(len(self.predicted_s)))
+
+    @property
+    def heard_contactless_s(self) -> Array:
+        """`times_s`, as that ball would have made them, shape (N,) [s]."""
+        return self.times_s - self._delays_s(self.numbers)
+
+    def _delays_s(self, numbers: NDArray[np.int64]) -> Array:
+        """By the contacts since the first impact that is told."""
+        return self.contact_s * (numbers - self.told)
 
     @property
     def residuals_s(self) -> Array:
@@ -122,6 +139,7 @@ class HeardBall:
             lasted = np.array(
                 [known[number] - known[number - 1], known[number + 1] - known[number]]
             )
+            lasted = np.maximum(lasted - self.contact_s, lasted / 2)
             before, after = leaving_speeds(lasted * self.seconds_s, drag_1_m)
             arrives = float(self._arriving(before, drag_1_m))
             value = float(after) / arrives
@@ -190,7 +208,9 @@ def heard_ball(times_s: Array, rig: Rig) -> HeardBall | None:
         [balls.mean(one) for one in (balls.restitutions, balls.slopes, balls.drags_1_m)]
     )
     values[0] = min(values[0], 1.0)
-    begin, leaving = _held(clock[reading.heard], reading, values, balls, rig)
+    contact_s = balls.mean(balls.contacts_s)
+    flown = clock[reading.heard] - contact_s * reading.numbers[reading.heard]
+    begin, leaving = _held(flown, reading, values, balls, rig)
     return HeardBall(
         values=values,
         interval95=_intervals(chosen),
@@ -198,6 +218,7 @@ def heard_ball(times_s: Array, rig: Rig) -> HeardBall | None:
         times_s=times_s[reading.heard],
         rig=rig,
         jitter_s=balls.mean(balls.jitters_s) / seconds_s,
+        contact_s=contact_s / seconds_s,
         log_odds=float(odds[best]) - float(np.log(len(times_s))),
         rhythm=_against_rhythms(clock, reading, log_rate, heightless),
         height_sds=balls.height_sds,
@@ -216,8 +237,8 @@ def _against_rhythms(
     prior = reading.log_prior(clock_s)
     ball = fit_times(times_s, numbers, log_rate, rig).log_evidence + prior
     every = Reading(np.arange(len(clock_s)), 0.0)
-    of_same = best_rhythm(times_s, numbers, log_rate)
-    of_every = best_rhythm(clock_s, every.numbers, log_rate)
+    of_same = best_rhythm(times_s, numbers, log_rate, rig.jitter_s)
+    of_every = best_rhythm(clock_s, every.numbers, log_rate, rig.jitter_s)
     tried: list[tuple[Rhythm, float]] = [(of_same, prior), (of_every, every.log_prior(clock_s))]
     best, most = max(
         ((one.name, one.log_evidence + log) for one, log in tried), key=lambda pair: pair[1]

@@ -50,18 +50,24 @@ class Rhythm:
     log_evidence: float
 
 
-def best_rhythm(times_s: Array, numbers: NDArray[np.int64], log_rate: float) -> Rhythm:
+def best_rhythm(
+    times_s: Array,
+    numbers: NDArray[np.int64],
+    log_rate: float,
+    jitter_s: float = priors.TRIGGER_JITTER_S,
+) -> Rhythm:
     """The rhythm with the highest evidence.
 
     Args:
         times_s: of the beats, shape (N,), N at least 3 [s].
         numbers: of the beats, the first 0, shape (N,).
         log_rate: logarithm of the density of noises' times [1/s], by which the evidence is divided.
+        jitter_s: usual standard deviation of a time.
     """
     found = []
     for name, beats in _families(int(numbers.max())):
         sums = np.cumsum(np.column_stack([np.zeros(len(beats)), beats]), axis=1)[:, numbers]
-        each = np.logaddexp(_jittered(times_s, sums), _running(times_s, sums, np.diff(numbers)))
+        each = np.logaddexp(_jittered(times_s, sums, jitter_s), _running(times_s, sums, np.diff(numbers)))
         most = float(each.max())
         evidence = most + float(np.log(np.exp(each - most).mean())) - float(np.log(2.0))
         found.append(Rhythm(name, evidence - _RANGE - (len(times_s) - 1) * log_rate))
@@ -84,7 +90,7 @@ def _families(count: int) -> Iterator[tuple[str, Array]]:
     yield "beats whose ratio falls", _bent(count)
 
 
-def _jittered(times_s: Array, sums: Array) -> Array:
+def _jittered(times_s: Array, sums: Array, jitter_s: float) -> Array:
     """Log evidence where each time has its own jitter, shape (M,)."""
     middle = sums.mean(axis=1)
     about = sums - middle[:, None]
@@ -92,7 +98,7 @@ def _jittered(times_s: Array, sums: Array) -> Array:
     first_s = about @ times_s / length
     off = times_s - times_s.mean() - first_s[:, None] * about
     jitters, free = priors.JITTERS_S, len(times_s) - 2
-    log = priors.log_jitter_prior() - free * np.log(jitters * np.sqrt(2 * np.pi))
+    log = priors.log_jitter_prior(jitter_s) - free * np.log(jitters * np.sqrt(2 * np.pi))
     log = log - (off**2).sum(axis=1)[:, None] / (2 * jitters**2)
     return _summed(log) - 0.5 * np.log(len(times_s) * length) - _log_duration(first_s)
 
