@@ -1,0 +1,196 @@
+"""When something knocks in a sound: onsets, each with its uncertainty, its loudness and its colour.
+
+A knock raises many bands at once and within a millisecond; speech, music and an echo's tail rise
+slower, or in few bands. The moment itself is where the sound, whitened by the background before
+it, changes its variance (Akaike's criterion, as seismologists pick the arrival of a wave; Maeda,
+Zisin 38, 1985).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tunenet_logs.arrays import Array
+from tunenet_logs.sound import Sound
+
+_EDGES_HZ = (150.0, 400.0, 800.0, 1600.0, 3200.0, 6400.0, 12_800.0, 20_000.0)
+"""Of the bands."""
+
+_HOP_S, _FRAME_S = 0.001, 0.002
+"""Between the moments at which bands are looked at, and how much of the sound each sees."""
+
+_BEFORE, _GUARD, _AFTER = 12, 2, 4
+"""Frames: of the background before a knock, left away between, and of the knock."""
+
+_FLOOR_DB = 12.0
+"""Below a band's median over the whole sound nothing is told apart from digital silence."""
+
+_MOST_DB = 25.0
+"""More than that in one band counts no more."""
+
+_LEAST_RISE_DB = 2.0
+"""Of a knock, mean over all bands."""
+
+_APART = 20
+"""Frames between two knocks: in less, the louder counts."""
+
+MOST_ONSETS = 400
+"""That are kept: those that rise the most."""
+
+_AROUND_S = (0.010, 0.006)
+"""Before and after a rise, where the moment is looked for."""
+
+_WHITENED_S, _ORDER = 0.05, 16
+"""Of background before it, and of the linear prediction that whitens it."""
+
+_LEAST_SD_S = 2e-5
+"""Of a moment: one sample."""
+
+_LOUD_S = 0.010
+"""After the onset, in which its loudness is measured."""
+
+
+@dataclass(frozen=True, eq=False)
+class Onsets:
+    """Knocks of a sound, in order.
+
+    Attributes:
+        times_s: on the sound's clock, 0 at its first sample, shape (N,) [s].
+        sds_s: of them, shape (N,) [s].
+        rises_db: mean rise over all bands, shape (N,).
+        loudness_db: of each, over the background before it taken off, re full scale, shape (N,).
+        colours_db: of its bands less their mean, shape (N, B).
+    """
+
+    times_s: Array
+    sds_s: Array
+    rises_db: Array
+    loudness_db: Array
+    colours_db: Array
+
+    def __len__(self) -> int:
+        return len(self.times_s)
+
+    def only(self, chosen: NDArray[np.int64] | NDArray[np.bool_]) -> Onsets:
+        """These of them."""
+        return Onsets(
+            self.times_s[chosen],
+            self.sds_s[chosen],
+            self.rises_db[chosen],
+            self.loudness_db[chosen],
+            self.colours_db[chosen],
+        )
+
+
+def onsets(sound: Sound) -> Onsets:
+    """All knocks; the times are on the sound's own clock, by `rate_hz`."""
+    samples = np.nan_to_num(sound.samples.astype(np.float64), posinf=0.0, neginf=0.0)
+    powers = _band_powers(samples, sound.file_rate_hz)
+    hop = _hop(sound.file_rate_hz)
+    if powers.shape[1] < _BEFORE + _GUARD + _AFTER:
+        return Onsets(*(np.zeros(0) for _ in range(4)), np.zeros((0, len(powers))))
+    rises, before, after = _rises(powers)
+    frames = _peaks(rises.mean(axis=0))
+    picked = [
+        _moment(samples, frame * hop, sound.file_rate_hz) for frame in frames.tolist()
+    ]
+    own = np.maximum(after[:, frames] - before[:, frames], 1e-12 + 0.05 * after[:, frames])
+    colours_db = 10 * np.log10(own)
+    at, sds = np.array(picked, dtype=np.float64).reshape(-1, 2).T
+    found = Onsets(
+        at / sound.rate_hz,
+        np.maximum(sds / sound.rate_hz, _LEAST_SD_S * sound.file_rate_hz / sound.rate_hz),
+        rises.mean(axis=0)[frames],
+        10 * np.log10(own.sum(axis=0)),
+        (colours_db - colours_db.mean(axis=0)).T,
+    )
+    return found.only(np.argsort(found.times_s, kind="stable"))
+
+
+def _hop(rate_hz: float) -> int:
+    return max(round(_HOP_S * rate_hz), 1)
+
+
+def _band_powers(samples: Array, rate_hz: float) -> Array:
+    """Power of each band in each frame, shape (B, F); bands above the sound's own are left away."""
+    from scipy.signal import butter, sosfilt
+
+    hop, wide = _hop(rate_hz), max(round(_FRAME_S / _HOP_S), 1)
+    edges = [edge for edge in _EDGES_HZ if edge < 0.46 * rate_hz]
+    found = []
+    for low, high in zip(edges, edges[1:], strict=False):
+        sos = butter(2, (low, high), "bandpass", fs=rate_hz, output="sos")
+        band = np.asarray(sosfilt(sos, samples)) ** 2
+        count = len(band) // hop
+        short = band[: count * hop].reshape(count, hop).mean(axis=1)
+        found.append(short)
+    if not found:
+        return np.zeros((0, 0))
+    powers = np.array(found)
+    sums = np.cumsum(np.pad(powers, ((0, 0), (1, 0))), axis=1)
+    if powers.shape[1] < wide:
+        return powers[:, :0]
+    return (sums[:, wide:] - sums[:, :-wide]) / wide
+
+
+def _rises(powers: Array) -> tuple[Array, Array, Array]:
+    """Of each band at each frame [dB], and the powers before and after it; shape (B, F) each."""
+    from scipy.ndimage import maximum_filter1d
+
+    usual = np.median(powers, axis=1, keepdims=True)
+    floor = usual * 10 ** (-_FLOOR_DB / 10) + 1e-12
+    # the loudest moment shortly before, so that an echo's ripples are no knocks
+    before = maximum_filter1d(powers, _BEFORE, axis=1, mode="nearest", origin=0)
+    before = np.roll(before, _BEFORE // 2 + _GUARD, axis=1)
+    before[:, : _BEFORE + _GUARD] = np.maximum(before[:, : _BEFORE + _GUARD], usual)
+    after = maximum_filter1d(powers, _AFTER, axis=1, mode="nearest")
+    after = np.roll(after, -(_AFTER // 2), axis=1)
+    rises = 10 * np.log10((after + floor) / (before + floor))
+    return np.clip(rises, 0.0, _MOST_DB), before, after
+
+
+def _peaks(rise: Array) -> NDArray[np.int64]:
+    from scipy.signal import find_peaks
+
+    frames, shape = find_peaks(rise, height=_LEAST_RISE_DB, distance=_APART)
+    most = np.argsort(-shape["peak_heights"])[:MOST_ONSETS]
+    return np.sort(frames[most])
+
+
+def _moment(samples: Array, at: int, rate_hz: float) -> tuple[float, float]:
+    """Where the sound changes, and the standard deviation of that [samples]."""
+    low = max(at - round(_AROUND_S[0] * rate_hz), 0)
+    high = min(at + round(_AROUND_S[1] * rate_hz), len(samples))
+    begin = max(low - round(_WHITENED_S * rate_hz), 0)
+    piece = _whitened(samples[begin:high], low - begin)
+    if len(piece) < 20:
+        return float(at), 0.001 * rate_hz
+    count = len(piece)
+    squares = np.cumsum(piece**2) + 1e-30
+    left = np.arange(8, count - 8)
+    first = squares[left - 1] / left
+    second = (squares[-1] - squares[left - 1]) / (count - left)
+    cost = 0.5 * (left * np.log(first) + (count - left) * np.log(np.maximum(second, 1e-30)))
+    weights = np.exp(cost.min() - cost)
+    weights /= weights.sum()
+    mean = float(weights @ left)
+    sd = float(np.sqrt(max(weights @ (left - mean) ** 2, 0.0)))
+    return low + mean, sd
+
+
+def _whitened(samples: Array, from_sample: int) -> Array:
+    """What a linear prediction, learnt before `from_sample`, does not foretell from there on."""
+    from scipy.linalg import solve_toeplitz
+    from scipy.signal import lfilter
+
+    background = samples[:from_sample]
+    if len(background) < 4 * _ORDER or not background.any():
+        return np.diff(samples[from_sample:], prepend=0.0)
+    spectrum = np.abs(np.fft.rfft(background, 2 * len(background))) ** 2
+    correlation = np.fft.irfft(spectrum)[: _ORDER + 1] / len(background)
+    correlation[0] *= 1 + 1e-4
+    predicts = solve_toeplitz(correlation[:-1], correlation[1:])
+    return np.asarray(lfilter(np.append(1.0, -predicts), [1.0], samples))[from_sample:]
