@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     import pandas as pd
 
+    from tunenet_logs.sound import Sound
+
 UNSTATED = ""
 """The unit of lengths of which nobody says what they are."""
 
@@ -222,6 +224,7 @@ class Channel:
         skipped: why its messages are not used; None where they are.
         pictures: whether its messages are images that `Episode.frames` gives.
         drives: whether they are commands or forces; see `Signal.drives`.
+        sounds: whether they are sound that `Episode.sounds` gives.
     """
 
     topic: str
@@ -231,6 +234,7 @@ class Channel:
     skipped: str | None = None
     pictures: bool = False
     drives: bool = False
+    sounds: bool = False
 
     @property
     def messages(self) -> int:
@@ -252,6 +256,7 @@ class Episode:
         open_frames: opens a fresh iterator over the frames of one of `picture_topics`.
         frames_untimed: whether the stamps of frames count them, `FRAME_NS` each: then a film tells
             a restitution, but no height and no speed.
+        open_sound: decodes the sound of one of `sound_topics`.
     """
 
     info: EpisodeInfo
@@ -262,6 +267,7 @@ class Episode:
     tainted: str = ""
     open_frames: Callable[[str], Iterator[Frame]] | None = None
     frames_untimed: bool = False
+    open_sound: Callable[[str], Sound] | None = None
 
     @property
     def picture_topics(self) -> tuple[str, ...]:
@@ -270,6 +276,13 @@ class Episode:
             channel.topic
             for channel in self.channels
             if channel.pictures and channel.skipped is None
+        )
+
+    @property
+    def sound_topics(self) -> tuple[str, ...]:
+        """Channels of sound, in the order of the log."""
+        return tuple(
+            channel.topic for channel in self.channels if channel.sounds and channel.skipped is None
         )
 
     def signals_of(self, topic: str) -> tuple[Signal, ...]:
@@ -286,6 +299,16 @@ class Episode:
         if self.open_frames is None or not topics:
             return iter(())
         return self.open_frames(topic or topics[0])
+
+    def sounds(self, topic: str | None = None) -> Sound | None:
+        """The sound of a topic (the first if None), decoded afresh; None where there is none.
+
+        What is damaged is left out, and said in its warnings; it may hold no sample at all.
+        """
+        topics = self.sound_topics
+        if self.open_sound is None or not topics:
+            return None
+        return self.open_sound(topic or topics[0])
 
     def to_pandas(self) -> pd.DataFrame:
         """All signals in one table: index `stamp_ns`, columns (signal, column)."""

@@ -16,7 +16,7 @@ class Sound:
         name: of its topic.
         start_ns: stamp of the first sample, on the log's clock.
         rate_hz: samples in a second of the log's clock: that of the pictures, so that sound which
-            was slowed down with its film has less than its file says.
+            was slowed down with its film has more than its file says.
         samples: of all channels together, full scale 1, shape (N,).
         file_rate_hz: as the file says.
         channels: that there were.

@@ -50,6 +50,7 @@ from tunenet_logs.formats.protobuf import protobuf_decoder
 from tunenet_logs.formats.read_options import AS_IT_SAYS, ReadOptions
 from tunenet_logs.formats.ros import ros_decoder
 from tunenet_logs.formats.ros2_folder import read_folder
+from tunenet_logs.formats.sound_file import is_sound_alone, read_sound
 from tunenet_logs.formats.tables.lines import SUFFIXES, is_table
 from tunenet_logs.formats.video import read_video
 from tunenet_logs.regular_file import open_regular
@@ -176,11 +177,15 @@ def _read_foreign(path: Path, options: ReadOptions) -> Episode:
     try:
         return read_video(path, options)
     except LogError as error:
+        if is_sound_alone(path):
+            return read_sound(path, options)
         if kind := foreign_kind(start.data, path):
             what, remedy = kind
             raise LogError(f"{path}: is {what}, which is not read as it is; {remedy}") from error
         why = error.what.removeprefix(f"{path}: ")
-        known = f"an MCAP log, a bag (.bag, .db3), a table ({', '.join(SUFFIXES)}) or a video"
+        known = (
+            f"an MCAP log, a bag (.bag, .db3), a table ({', '.join(SUFFIXES)}), a video or sound"
+        )
         remedy = "convert it to one of these or, if it is one, record or copy it again"
         raise LogError(f"{path}: is not {known}: it {why}; {remedy}") from error
 
@@ -200,8 +205,9 @@ def _open_packed(path: Path, compression: str, options: ReadOptions) -> Containe
             episode = _read_inside(inside, path, options)
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror})", CHECK_DISK) from error
-    if episode.open_frames is not None:
-        raise LogError(f"{path}: is a packed video; unpack it first with {_UNPACK[compression]}")
+    if episode.open_frames is not None or episode.open_sound is not None:
+        kind = "sound" if episode.open_frames is None else "video"
+        raise LogError(f"{path}: is a packed {kind}; unpack it first with {_UNPACK[compression]}")
     lost = tuple(str(loss) for loss in losses)
     return replace(episode, warnings=(*lost, *episode.warnings), losses=(*lost, *episode.losses))
 

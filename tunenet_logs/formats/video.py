@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
@@ -11,13 +10,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame
-from tunenet_logs.errors import CHECK_DISK, COPY_AGAIN, LogError
+from tunenet_logs.errors import COPY_AGAIN, LogError
 from tunenet_logs.formats.decoded_picture import decoded_frame
-from tunenet_logs.formats.mp4_claims import CheckedFile
+from tunenet_logs.formats.film_sound import FilmSound, film_sound
+from tunenet_logs.formats.media_file import FILMS, opened_media
 from tunenet_logs.formats.read_options import AS_IT_SAYS, ReadOptions
+from tunenet_logs.formats.sound_track import PacketTimes, sound_stream
 from tunenet_logs.formats.video_clock import StoredTimes, VideoClock, clock_of
 from tunenet_logs.images import FREE_VIDEO_PIXELS, MAX_PIXELS, VIDEO_PIXELS_A_BYTE
-from tunenet_logs.regular_file import open_regular
 
 if TYPE_CHECKING:
     from av import VideoFrame
@@ -26,15 +26,8 @@ if TYPE_CHECKING:
 VIDEO_TOPIC = "video"
 """What the pictures of a video file go by."""
 
-_CONTAINERS = "mov,matroska,avi,mpeg,mpegts,flv,ogg,asf,mjpeg,h264,hevc,m4v,gif,apng,ivf,nut,"
-_CONTAINERS += "yuv4mpegpipe,obu,av1"
-"""Only what holds pictures itself: a playlist could name any other file or host."""
-
 _BARE = frozenset({"h264", "hevc", "mjpeg", "m4v", "obu", "av1"})
 """Streams that no container holds: FFmpeg makes times up for them."""
-
-_JPEG_START = b"\xff\xd8\xff"
-"""Of a stream of JPEGs, which FFmpeg takes for a single picture."""
 
 _MOST_PICTURES = 250_000
 """Of a file: two hours at 30 a second, ten minutes at 400."""
@@ -58,6 +51,7 @@ class Video:
             do not tell which picture is which.
         clock: when they were taken.
         warnings: what was repaired or is doubtful, in words.
+        sound: beside the pictures; None where there is none, or nothing tells their times.
     """
 
     path: Path
@@ -67,6 +61,7 @@ class Video:
     ticks: tuple[int, ...] | None
     clock: VideoClock
     warnings: tuple[str, ...]
+    sound: FilmSound | None = None
 
     def frames(self) -> Iterator[Frame]:
         """The frames in order, one at a time; a camera's own JPEG untouched, all else as pixels.
@@ -79,7 +74,7 @@ class Video:
         if self.codec == "mjpeg" and not self.rotation_deg:
             yield from self._stored_jpegs()
             return
-        with _opened(self.path) as container:
+        with opened_media(self.path, FILMS, "video") as container:
             stamps = _Stamps(self)
             made_up, left_px = False, _most_pixels(self.path)
             for picture in container.decode(_video_stream(container, self.path)):
@@ -101,7 +96,7 @@ class Video:
                 )
 
     def _stored_jpegs(self) -> Iterator[Frame]:
-        with _opened(self.path) as container:
+        with opened_media(self.path, FILMS, "video") as container:
             stamps = _Stamps(self)
             for packet in container.demux(_video_stream(container, self.path)):
                 if not _is_shown(packet):
@@ -139,11 +134,14 @@ def open_video(path: Path, filmed_hz: float | None = None) -> Video:
     Raises:
         LogError: no video, without pictures, damaged, or of a size that no camera has.
     """
-    with _opened(path) as container:
+    with opened_media(path, FILMS, "video") as container:
         stream = _video_stream(container, path)
         tags = {**stream.metadata, **container.metadata}
-        shown = (packet.pts for packet in container.demux(stream) if _is_shown(packet))
+        heard = sound_stream(container)
+        times = None if heard is None else PacketTimes(heard)
+        shown = (packet.pts for packet in _packets(container, stream, times) if _is_shown(packet))
         packets = list(islice(shown, _MOST_PICTURES + 1))
+        track = times.track(path, FILMS) if times else None
         coded_px = stream.codec_context.width * stream.codec_context.height
         base, codec = stream.time_base, stream.codec_context.name
         is_bare, is_avi = container.format.name in _BARE, container.format.name == "avi"
@@ -156,7 +154,7 @@ def open_video(path: Path, filmed_hz: float | None = None) -> Video:
     ticks = None if is_bare or len(timed) < _MOSTLY * len(packets) else sorted(timed)
     if not packets or base is None:
         raise LogError(f"{path}: holds no picture; convert it to .mp4 first")
-    with _opened(path) as container:
+    with opened_media(path, FILMS, "video") as container:
         first = next(_whole(container.decode(_video_stream(container, path))), None)
         if first is None:
             raise LogError(f"{path}: no picture in it can be decoded", COPY_AGAIN)
@@ -170,14 +168,17 @@ def open_video(path: Path, filmed_hz: float | None = None) -> Video:
                 f"its first {len(ticks) - len(begun)} pictures need others that were cut off"
             )
             ticks = begun
-    times = StoredTimes(
+    stored = StoredTimes(
         ticks=ticks or None,
         count=len(ticks or packets),
         base_s=base,
         rate_hz=float(stated) if stated else None,
         tags=tags,
     )
-    clock = clock_of(times, filmed_hz)
+    clock = clock_of(stored, filmed_hz)
+    sound = None
+    if track is not None and clock.is_timed:
+        sound = film_sound(track, stored.ticks, base, clock)
     return Video(
         path=path,
         codec=codec,
@@ -186,6 +187,7 @@ def open_video(path: Path, filmed_hz: float | None = None) -> Video:
         ticks=tuple(ticks) if ticks and not is_avi else None,
         clock=clock,
         warnings=(*warnings, *clock.warnings),
+        sound=sound,
     )
 
 
@@ -208,12 +210,14 @@ def read_video(path: Path, options: ReadOptions = AS_IT_SAYS) -> Episode:
         pictures=True,
     )
     info = EpisodeInfo(source=f"video file {path.name}", notes=video_notes(video))
+    channels = (channel,) if video.sound is None else (channel, video.sound.channel())
     return Episode(
         info,
         {},
-        (channel,),
+        channels,
         video.warnings,
         open_frames=partial(_frames_of, video),
+        open_sound=video.sound.sound if video.sound else None,
         frames_untimed=not video.clock.is_timed,
     )
 
@@ -240,30 +244,16 @@ def _frames_of(video: Video, _topic: str) -> Iterator[Frame]:
     return video.frames()
 
 
-@contextmanager
-def _opened(path: Path) -> Iterator[InputContainer]:
-    import av
-    from av import logging
-    from av.error import FFmpegError
-
-    logging.set_level(None)  # errors come as exceptions; its printing would only disturb
-    options = {"format_whitelist": _CONTAINERS, "protocol_whitelist": "file,pipe"}
-    try:
-        with open_regular(path) as file:
-            form = "mjpeg" if file.read(3) == _JPEG_START else None
-            file.seek(0)
-            checked = CheckedFile(file)
-            try:
-                with av.open(checked, "r", format=form, options=options) as container:
-                    yield container
-            finally:
-                if checked.refused is not None:
-                    raise LogError(f"{path}: {checked.refused}; cut the drop out of it")
-    except (FFmpegError, ValueError, OverflowError, MemoryError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise LogError(f"{path}: is no video that can be read ({reason})", COPY_AGAIN) from error
-    except OSError as error:
-        raise LogError(f"{path}: cannot be read ({error.strerror})", CHECK_DISK) from error
+def _packets(container: InputContainer, stream: Any, sound: PacketTimes | None) -> Iterator[Any]:
+    """Those of the pictures; those of the sound are heard on the way."""
+    if sound is None:
+        yield from container.demux(stream)
+        return
+    for packet in container.demux(stream, sound.stream):
+        if packet.stream_index == stream.index:
+            yield packet
+        else:
+            sound.add(packet)
 
 
 def _is_shown(packet: Any) -> bool:

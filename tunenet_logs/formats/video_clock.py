@@ -71,7 +71,7 @@ def clock_of(times: StoredTimes, said_hz: float | None) -> VideoClock:
         said_hz: rate at which it was filmed, where the user knows better: pictures are then
             counted, whatever times they have.
     """
-    start_ns = _creation_ns(times.tags.get("creation_time", ""))
+    start_ns = creation_ns(times.tags.get("creation_time", ""))
     stored_hz = _stored_rate(times)
     counts = np.arange(times.count)
     if said_hz is not None:
@@ -129,7 +129,8 @@ def _tagged_rate(text: str, stored_hz: float) -> float | None:
     return rate
 
 
-def _creation_ns(text: str) -> int:
+def creation_ns(text: str) -> int:
+    """When a file was made, by its tag [ns]; 0 where that says nothing."""
     try:
         stamp = datetime.fromisoformat(text)
     except ValueError:

@@ -1,0 +1,184 @@
+"""Sound put together from pieces: one channel, without holes, of bounded length and rate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+MOST_S = 600.0
+"""Of sound that is used [s]."""
+
+_MOST_VALUES = 240_000_000
+"""Of all channels that are gone through: ten minutes of eight at 48 kHz."""
+
+_KEPT_HZ = 48_000
+"""A sound of more samples a second is reduced by a whole number, to no more than that."""
+
+RATES_HZ = (1_000.0, 2_000_000.0)
+"""Least and greatest rate of samples; speech by telephone has 8,000, bats' 500,000."""
+
+_SAME_S = 0.03
+"""Between where a piece should begin and where it says: files round it to ms, or to a piece."""
+
+_LARGEST = 8.0
+"""Of a sample; decoders give a little more than 1 where a sound was clipped."""
+
+_SILENT = 2e-5
+"""A sound is silent that is nowhere louder: less than the last of 16 bits."""
+
+_MOST_PIECES = 1_000_000
+"""That are put together."""
+
+_FULL_SCALE = {"u1": 2.0**7, "i2": 2.0**15, "i4": 2.0**31, "i8": 2.0**63}
+"""Of whole numbers, by their type."""
+
+
+@dataclass(frozen=True, eq=False)
+class GatheredSound:
+    """What pieces gave.
+
+    Attributes:
+        samples: of all channels together, full scale 1, shape (N,).
+        start_s: when the first was taken, on the clock of the pieces [s].
+        rate_hz: samples in a second of that clock.
+        warnings: what was repaired, left out or is doubtful, in words.
+    """
+
+    samples: NDArray[np.float32]
+    start_s: float
+    rate_hz: float
+    warnings: tuple[str, ...]
+
+
+class SoundGatherer:
+    """Puts pieces of sound together.
+
+    A hole between two becomes silence of its length, so that what follows keeps its time.
+
+    Args:
+        rate_hz: of the pieces' samples.
+
+    Raises:
+        ValueError: no sound has such a rate.
+    """
+
+    def __init__(self, rate_hz: float) -> None:
+        low, high = RATES_HZ
+        if not low <= rate_hz <= high:
+            raise ValueError(f"claims {rate_hz:.6g} samples a second")
+        self._file_hz = float(rate_hz)
+        self._every = max(1, ceil(rate_hz / _KEPT_HZ))
+        self._pieces: list[NDArray[np.float32]] = []
+        self._rest = np.empty(0, np.float32)  # what is not yet a sample that is kept
+        self._offsets_s: list[float] = []  # of the pieces before the first hole
+        self._base_s, self._base_count = 0.0, 0  # from where pieces are counted
+        self._count = self._values = self._calls = 0
+        self._bad = self._holes = self._backwards = 0
+        self._hole_s = 0.0
+        self._why_full = ""
+
+    @property
+    def is_full(self) -> bool:
+        """Whether no more is taken."""
+        return bool(self._why_full)
+
+    def add(self, piece: NDArray[Any], at_s: float | None) -> None:
+        """The next piece.
+
+        Args:
+            piece: whole numbers or floats as a file has them, shape (N, channels).
+            at_s: when its first sample was taken [s]; None where it follows upon the last.
+        """
+        self._calls += 1
+        self._values += piece.size
+        if self._values > _MOST_VALUES or self._calls > _MOST_PIECES:
+            self._why_full = self._why_full or "the rest is too much"
+        if self.is_full or not piece.size:
+            return
+        if at_s is not None:
+            self._place(at_s)
+        mono = _mono(piece)
+        is_bad = ~np.isfinite(mono) | (np.abs(mono) > _LARGEST)
+        if is_bad.any():
+            self._bad += int(is_bad.sum())
+            mono[is_bad] = 0.0
+        self._append(mono)
+
+    def result(self) -> GatheredSound:
+        """All that was added."""
+        samples = np.concatenate(self._pieces) if self._pieces else np.empty(0, np.float32)
+        samples.flags.writeable = False
+        start_s = float(np.median(self._offsets_s)) if self._offsets_s else 0.0
+        middle_s = (self._every - 1) / 2 / self._file_hz  # of the samples that became one
+        rate_hz = self._file_hz / self._every
+        return GatheredSound(samples, start_s + middle_s, rate_hz, tuple(self._said(samples)))
+
+    def _said(self, samples: NDArray[np.float32]) -> list[str]:
+        said: list[str] = []
+        if not len(samples):
+            said.append("the sound track holds no sound")
+        elif float(np.abs(samples).max()) < _SILENT:
+            said.append("the sound track is silent")
+        if self._why_full:
+            used_s = len(samples) * self._every / self._file_hz
+            said.append(f"only the first {used_s:.1f} s of the sound are used: {self._why_full}")
+        if self._every > 1:
+            kept_hz = self._file_hz / self._every
+            said.append(f"the sound was reduced from {self._file_hz:g} to {kept_hz:g} Hz")
+        if self._bad:
+            said.append(f"{self._bad} samples that are no numbers, or far too loud, became silence")
+        if self._holes:
+            said.append(f"{self._holes} holes in the sound, {self._hole_s:.2f} s in all")
+        if self._backwards:
+            said.append(f"the times of the sound run backwards {self._backwards} times")
+        return said
+
+    def _place(self, at_s: float) -> None:
+        """Fill a hole before a piece, if there is one."""
+        if not np.isfinite(at_s):
+            return
+        if not self._offsets_s:
+            self._base_s, self._base_count = at_s, self._count
+        late_s = at_s - self._base_s - (self._count - self._base_count) / self._file_hz
+        if abs(late_s) <= _SAME_S:
+            if not self._holes and not self._backwards:
+                self._offsets_s.append(at_s - self._count / self._file_hz)
+            return
+        if late_s < 0:
+            self._backwards += 1
+            self._base_s, self._base_count = at_s, self._count
+            return
+        self._holes += 1
+        self._hole_s += late_s
+        left = MOST_S * self._file_hz - self._count
+        self._append(np.zeros(round(min(late_s * self._file_hz, left)), np.float32))
+
+    def _append(self, mono: NDArray[np.float32]) -> None:
+        most = int(MOST_S * self._file_hz) - self._count
+        if len(mono) > most:
+            mono = mono[:most]
+            self._why_full = f"{MOST_S:g} s are enough"
+        self._count += len(mono)
+        if self._every == 1:
+            self._pieces.append(mono)
+            return
+        mono = np.concatenate((self._rest, mono))
+        whole = len(mono) // self._every * self._every
+        self._rest = mono[whole:]
+        self._pieces.append(mono[:whole].reshape(-1, self._every).mean(axis=1, dtype=np.float32))
+
+
+def _mono(piece: NDArray[Any]) -> NDArray[np.float32]:
+    """The mean of the channels, full scale 1, shape (N,)."""
+    kind = piece.dtype.str[1:]
+    if kind not in _FULL_SCALE:
+        with np.errstate(all="ignore"):  # what is no number is dealt with by the caller
+            return np.asarray(piece.mean(axis=1, dtype=np.float64), np.float32)
+    middle = 128.0 if kind == "u1" else 0.0
+    return np.asarray(
+        (piece.mean(axis=1, dtype=np.float64) - middle) / _FULL_SCALE[kind], np.float32
+    )
