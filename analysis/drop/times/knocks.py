@@ -137,6 +137,13 @@ def chains(heard: Onsets, lasts_s: float, most: int = _CHAINS) -> list[Chain]:
     return found
 
 
+def softer_db(times_s: Array, numbers: NDArray[np.int64]) -> Array:
+    """By how much each knock of a ball is softer than the first, by its gaps, shape (N,)."""
+    gaps = np.diff(times_s) / np.diff(numbers)
+    speeds = np.append(gaps[0], gaps)
+    return _PER_DECADE_DB * np.log10(speeds / gaps[0])
+
+
 def _seeds(heard: Onsets) -> NDArray[np.int64]:
     """Triples whose gaps and loudness may be a ball's, shape (S, 3)."""
     times_s, loud = heard.times_s, heard.loudness_db

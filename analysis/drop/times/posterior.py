@@ -16,7 +16,7 @@ from analysis.drop.times.flight_times import (
     flights,
     leaving_speeds,
 )
-from analysis.drop.times.missing_impacts import Reading, noise_rate_hz, readings
+from analysis.drop.times.missing_impacts import MISSED, Reading, noise_rate_hz, readings
 from analysis.drop.times.rhythms import Rhythm, best_rhythm
 from analysis.record import Rebound
 from analysis.statistics import TWO_SIDED
@@ -40,6 +40,19 @@ _HALVINGS = 24
 
 _TYPICAL_APEX_M = 0.4
 """Of a first flight whose true seconds are not known."""
+
+
+@dataclass(frozen=True)
+class Besides:
+    """What is known of the times that they do not say themselves.
+
+    Attributes:
+        rate_hz: of times that are none of the ball's.
+        log_odds: logarithm of the odds for the ball by all else than the times.
+    """
+
+    rate_hz: float
+    log_odds: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,19 +184,20 @@ class HeardBall:
         return float(leaving_m_s / np.hypot(1.0, reach))
 
 
-def heard_ball(times_s: Array, rig: Rig) -> HeardBall | None:
+def heard_ball(times_s: Array, rig: Rig, besides: Besides | None = None) -> HeardBall | None:
     """Average over all that may have been heard; None where no ball explains any of it.
 
     Args:
         times_s: rising, shape (N,) [s]; of more than `MOST_TIMES` the first.
-        rig: what is known beside them.
+        rig: what is known of the ball.
+        besides: None where the times are all that was heard.
     """
     times_s = times_s[:MOST_TIMES]
     if len(times_s) < 3:
         return None
     seconds_s = 1.0 if rig.has_clock else _typical_seconds(times_s)
     clock = times_s * seconds_s
-    log_rate = float(np.log(noise_rate_hz(clock)))
+    log_rate = float(np.log(noise_rate_hz(clock) if besides is None else besides.rate_hz))
     heightless = replace(rig, height_m=None)  # it tells nothing of which time is an impact
     tried = [
         (one, fit_times(clock[one.heard], one.numbers[one.heard], log_rate, heightless, fine=False))
@@ -219,13 +233,25 @@ def heard_ball(times_s: Array, rig: Rig) -> HeardBall | None:
         rig=rig,
         jitter_s=balls.mean(balls.jitters_s) / seconds_s,
         contact_s=contact_s / seconds_s,
-        log_odds=float(odds[best]) - float(np.log(len(times_s))),
+        log_odds=_log_odds(float(odds[best]), tried[best], clock, besides),
         rhythm=_against_rhythms(clock, reading, log_rate, heightless),
         height_sds=balls.height_sds,
         begin_s=begin / seconds_s,
         leaving_m_s=leaving,
         seconds_s=seconds_s,
     )
+
+
+def _log_odds(
+    odds: float, tried: tuple[Reading, Balls], clock_s: Array, besides: Besides | None
+) -> float:
+    """Against noises at random times."""
+    if besides is None:
+        return odds - float(np.log(len(clock_s)))
+    reading, balls = tried
+    heard = len(reading.heard)
+    missed = reading.missed * np.log(MISSED) + heard * np.log1p(-MISSED)
+    return balls.log_evidence + float(missed) + besides.log_odds
 
 
 def _against_rhythms(

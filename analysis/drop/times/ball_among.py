@@ -1,0 +1,167 @@
+"""The ball among the knocks of a sound: the chain of knocks that a ball explains best.
+
+Chains are found by their rhythm and loudness (`knocks`). Here each is fitted, and what the fit
+foretells is looked for: an impact before the first, one that was passed over, softer ones after
+the last. Every change must raise the evidence: the logarithm of the odds against knocks at random
+times, of random loudness and colour.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.drop.times.fit import Rig, fit_times
+from analysis.drop.times.knocks import Chain, Crowd, chains, softer_db
+from analysis.drop.times.missing_impacts import MISSED
+from analysis.drop.times.posterior import MOST_TIMES, Besides, HeardBall, heard_ball
+from analysis.listening.onsets import Onsets
+from tunenet_logs.arrays import Array
+
+_FITTED = 24
+"""Chains that are fitted."""
+
+_CHANGES = 30
+"""Of the best chain at most."""
+
+_BEFORE_S, _NEAR_S = 1.6, 0.02
+"""Before the first impact, and about a foretold one, where knocks are tried."""
+
+_TRIED = 6
+"""Knocks, for one impact."""
+
+
+@dataclass(frozen=True, eq=False)
+class BallAmong:
+    """A ball, and what was heard beside it.
+
+    Attributes:
+        ball: by its impact times, on the sound's clock.
+        which: indices of its impacts among the onsets, shape (N,).
+        others: knocks between its first impact and its last that are as loud as its own there.
+    """
+
+    ball: HeardBall
+    which: NDArray[np.int64]
+    others: int
+
+
+def ball_among(heard: Onsets, lasts_s: float, rig: Rig) -> BallAmong | None:
+    """The likeliest ball; None where nothing sounds like one.
+
+    Args:
+        heard: all knocks of the sound.
+        lasts_s: the sound.
+        rig: what is known of the ball.
+    """
+    found = chains(heard, lasts_s)[:_FITTED]
+    if not found:
+        return None
+    judge = _Judge(heard, Crowd.of(heard, lasts_s), replace(rig, height_m=None))
+    best = max((judge.judged(one) for one in found), key=lambda one: one.score)
+    best = _completed(judge, best)
+    which = best.which[:MOST_TIMES]
+    ball = heard_ball(heard.times_s[which], rig, judge.besides(best))
+    if ball is None:
+        return None
+    kept = which[ball.reading.heard]
+    return BallAmong(ball, kept, _others(heard, kept))
+
+
+@dataclass(frozen=True, eq=False)
+class _Judge:
+    """Gives chains their evidence.
+
+    Attributes:
+        heard: all knocks.
+        crowd: what they are like.
+        rig: what is known of the ball, but for its height.
+    """
+
+    heard: Onsets
+    crowd: Crowd
+    rig: Rig
+
+    def judged(self, chain: Chain) -> Chain:
+        """With its evidence as its score."""
+        which, numbers = chain.which, chain.numbers
+        times_s = self.heard.times_s[which]
+        rate = float(np.log(self.crowd.rate_hz))
+        fitted = fit_times(times_s, numbers, rate, self.rig, fine=False)
+        missed = int(numbers.max()) + 1 - len(which)
+        score = fitted.log_evidence + missed * np.log(MISSED) + len(which) * np.log1p(-MISSED)
+        return replace(chain, score=score + self._beside(chain))
+
+    def _beside(self, chain: Chain) -> float:
+        """Of loudness and colour, and of the knocks that are left for chance."""
+        loud = self.heard.loudness_db[chain.which]
+        colours = self.heard.colours_db[chain.which]
+        foretold = softer_db(self.heard.times_s[chain.which], chain.numbers)
+        foretold = foretold + float(np.median(loud - foretold))
+        odds = self.crowd.loudness_odds(loud, foretold)
+        off = ((colours - np.median(colours, axis=0)) ** 2).mean(axis=1)
+        odds = odds + self.crowd.colour_odds(off)
+        every, own = len(self.heard), len(chain.which)
+        left = (every - own) * np.log((every - own) / every) if every > own else 0.0
+        return float(odds.sum()) + own + float(left) - float(np.log(every))
+
+    def besides(self, chain: Chain) -> Besides:
+        """What the times alone do not say."""
+        return Besides(self.crowd.rate_hz, self._beside(chain))
+
+
+def _completed(judge: _Judge, chain: Chain) -> Chain:
+    """With every change that raises its evidence, the best first."""
+    for _ in range(_CHANGES):
+        tried = [judge.judged(one) for one in _changes(judge.heard, chain)]
+        best = max(tried, key=lambda one: one.score, default=chain)
+        if best.score <= chain.score:
+            break
+        chain = best
+    return chain
+
+
+def _changes(heard: Onsets, chain: Chain) -> list[Chain]:
+    """One knock more, or one less."""
+    times_s, which, numbers = heard.times_s, chain.which, chain.numbers
+    own_s = times_s[which]
+    found: list[Chain] = []
+    if len(which) > 3:
+        for place in range(len(which)):
+            left, rest = np.delete(which, place), np.delete(numbers, place)
+            found.append(Chain(left, rest - rest[0], 0.0))
+    first = own_s[0]
+    earlier = np.flatnonzero((times_s > first - _BEFORE_S) & (times_s < first))
+    first_gap = (own_s[1] - first) / (numbers[1] - numbers[0])
+    earlier = earlier[(first - times_s[earlier]) > 0.9 * first_gap]
+    for one in earlier[::-1][:_TRIED].tolist():
+        found.append(Chain(np.append(one, which), np.append(0, numbers + 1), 0.0))
+    # gaps shrink evenly in their logarithm: good enough to look about
+    logs = np.log(np.diff(own_s) / np.diff(numbers))
+    middles = (numbers[1:] + numbers[:-1]) / 2
+    slope, level = np.polyfit(middles, logs, 1) if len(logs) > 1 else (0.0, logs[0])
+    last = int(numbers[-1])
+    for number in np.setdiff1d(np.arange(last + 3), numbers).tolist():
+        at = int(np.searchsorted(numbers, number)) - 1
+        steps = np.arange(numbers[at], number) + 0.5
+        due = own_s[at] + float(np.exp(level + slope * steps).sum())
+        near = np.flatnonzero(np.abs(times_s - due) < _NEAR_S * len(steps))
+        near = np.setdiff1d(near, which)
+        near = near[(times_s[near] > own_s[at])]
+        if at + 1 < len(own_s):
+            near = near[times_s[near] < own_s[at + 1]]
+        closest = near[np.argsort(np.abs(times_s[near] - due))[:_TRIED]]
+        for one in closest.tolist():
+            place = at + 1
+            found.append(Chain(np.insert(which, place, one), np.insert(numbers, place, number), 0.0))
+    return found
+
+
+def _others(heard: Onsets, which: NDArray[np.int64]) -> int:
+    times_s, loud = heard.times_s, heard.loudness_db
+    inside = (times_s > times_s[which[0]]) & (times_s < times_s[which[-1]])
+    inside[which] = False
+    as_loud = loud > np.interp(times_s, times_s[which], loud[which]) - 3.0
+    return int((inside & as_loud).sum())
