@@ -14,6 +14,7 @@ from analysis.evaluation.clips.order import ClipOrder, draw_clip_of
 from analysis.evaluation.clips.view import SIZES_PX
 from analysis.evaluation.sound.backgrounds import BACKGROUNDS, Background
 from analysis.evaluation.sound.clip import SoundClip, SoundScene, draw_scene, recorded
+from analysis.evaluation.sound.negatives import NoBounce
 from analysis.evaluation.sound.sound_file import AAC_BIT_S, add_sound
 from analysis.evaluation.video.bouncing_ball import DroppedBall
 from tunenet_logs.arrays import Array
@@ -151,16 +152,11 @@ class TrackedSound:
         """At the first impact."""
         return self.clip.scene.history.order.restitution
 
-    def episode(self, clip: SoundClip | None = None) -> Episode:
-        """In memory, with its sound, or with that of another clip."""
-        heard = self.clip if clip is None else clip
+    def episode(self) -> Episode:
+        """In memory."""
         stamps_ns = _START_NS + np.round(self.seconds * 1e9).astype(np.int64)
         signal = Signal("/ball/pose", stamps_ns, self.positions_m, ("x", "y", "z"), "m")
-        return with_sound(Episode(EpisodeInfo(), {signal.name: signal}), heard, self.offset_s)
-
-    def silent_episode(self) -> Episode:
-        """In memory, without sound."""
-        return replace(self.episode(), channels=(), open_sound=None)
+        return with_sound(Episode(EpisodeInfo(), {signal.name: signal}), self.clip, self.offset_s)
 
 
 def track_with_sound(
@@ -177,13 +173,14 @@ def track_with_sound(
     return TrackedSound(clip, offset_s, seconds, positions)
 
 
-def with_sound(episode: Episode, clip: SoundClip, offset_s: float = 0.0) -> Episode:
-    """The episode with this sound, which begins `offset_s` after its first sample."""
+def with_sound(episode: Episode, heard: SoundClip | NoBounce, offset_s: float = 0.0) -> Episode:
+    """The episode with this sound, which begins `offset_s` after its first sample or picture."""
     stamps = [int(signal.stamps_ns[0]) for signal in episode.signals.values()]
+    stamps += [int(channel.log_ns[0]) for channel in episode.channels if len(channel.log_ns)]
     start_ns = min(stamps, default=_START_NS) + round(offset_s * 1e9)
     channel = Channel("/audio", "", "", np.array([start_ns]), sounds=True)
     return replace(
         episode,
         channels=(*episode.channels, channel),
-        open_sound=lambda topic: clip.sound(topic, start_ns),
+        open_sound=lambda topic: heard.sound(topic, start_ns),
     )
