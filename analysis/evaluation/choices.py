@@ -37,6 +37,13 @@ toolbox, and by the network's first step."""
 FULL_SYSID = 200
 """Logs of a machine and section for each seed; a twentieth for the network."""
 
+SOUND_SECTIONS = ("alone", "phyphox", "negatives", "films", "unrelated")
+"""Bounces by their sound alone, the same by phyphox's way, sounds that are no bounce, films with
+their sound, and tracks with a sound that is not theirs."""
+
+FULL_SOUND = 200
+"""Clips at a ratio, sounds, films and tracks for each seed."""
+
 FULL_ENGINES = 10
 """Targets of a range for each seed and pair of engines."""
 

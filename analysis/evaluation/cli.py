@@ -12,6 +12,7 @@ from analysis.evaluation.choices import (
     FULL_ENGINES,
     FULL_REAL,
     FULL_SHOT,
+    FULL_SOUND,
     FULL_SYSID,
     FULL_VIDEO,
     METHODS,
@@ -19,6 +20,7 @@ from analysis.evaluation.choices import (
     REAL_SECTIONS,
     SECTIONS,
     SHOT_SECTIONS,
+    SOUND_SECTIONS,
     SYSID_SECTIONS,
     USUAL_PAYLOAD_SECTIONS,
 )
@@ -51,6 +53,8 @@ anew for each seed, and print its figures beside the paper's.
   sysid      users' own models: a pendulum, an arm with a payload and late commands, a block that
              slides, as SciPy integrates them: errors, intervals, what a log cannot tell, models
              of other machines, the network's first step, and mujoco.sysid beside it
+  sound      bounces by ear: sounds that are made by code, alone and beside films, with speech,
+             music and noise behind them; phyphox's way beside it, and sounds that are no bounce
 
 Needs the libraries of the extra 'eval': pip install 'tunenet-logs[eval]'."""
 
@@ -69,7 +73,9 @@ _EXAMPLES = """\
   tunenet-eval bounce-shot --seeds 1 --campaign shots   (keeps logs, tunings, outcomes)
   tunenet-eval engines --seeds 1                     (a few minutes)
   tunenet-eval sysid --targets 10 --sections tuned   (ten logs of each machine)
-  tunenet-eval sysid                                 (hours on two cores)"""
+  tunenet-eval sysid                                 (hours on two cores)
+  tunenet-eval sound --targets 20 --sections alone,negatives   (a few minutes)
+  tunenet-eval sound                                 (over an hour on two cores)"""
 
 _METHODS_HELP = f"""\
 methods of the paper: {", ".join(METHODS[:6])}
@@ -88,10 +94,11 @@ _TARGETS = {
     "bounce-shot": FULL_SHOT,
     "engines": FULL_ENGINES,
     "sysid": FULL_SYSID,
+    "sound": FULL_SOUND,
 }
-_WITH_SECTIONS = ("video", "payload", "real-balls", "bounce-shot", "sysid")
+_WITH_SECTIONS = ("video", "payload", "real-balls", "bounce-shot", "sysid", "sound")
 _WITH_SECTIONS_IN_WORDS = f"{', '.join(_WITH_SECTIONS[:-1])} and {_WITH_SECTIONS[-1]}"
-_SEEDS = {"payload": 5, "sysid": 1}
+_SEEDS = {"payload": 5, "sysid": 1, "sound": 1}
 _DEFAULT_SEEDS = 3
 _DEFAULT_TARGETS = 100
 """Unless an experiment has its own above, or its sections have; 100 targets as in the paper."""
@@ -108,7 +115,8 @@ def build_parser() -> Parser:
         "--seeds",
         type=whole(1, 1000),
         metavar="N",
-        help="how many, each with its own training and targets (default: 3; payload: 5; sysid: 1)",
+        help="how many, each with its own training and targets (default: 3; payload: 5; sysid, "
+        "sound: 1)",
     )
     add(
         "--first-seed",
@@ -123,7 +131,8 @@ def build_parser() -> Parser:
         metavar="N",
         help="test targets for each seed and set (default: 100; video, real-balls: 200; payload: "
         "300, and two thirds as many logs in all, strangers: 400 logs a cell, conventions: 1000 "
-        "logs; bounce-shot: 60 trials a campaign; engines: 10; sysid: 200 logs a machine)",
+        "logs; bounce-shot: 60 trials a campaign; engines: 10; sysid: 200 logs a machine; "
+        "sound: 200)",
     )
     jobs_option(parser, "processes")
     _options_of_some(parser)
@@ -167,6 +176,7 @@ def _options_of_some(parser: Parser) -> None:
                 ("real-balls", REAL_SECTIONS),
                 ("bounce-shot", SHOT_SECTIONS),
                 ("sysid", SYSID_SECTIONS),
+                ("sound", SOUND_SECTIONS),
             )
         ),
     )

@@ -18,11 +18,12 @@ from analysis.evaluation.choices import (
     REAL_SECTIONS,
     SECTIONS,
     SHOT_SECTIONS,
-    SYSID_SECTIONS,
     USUAL_PAYLOAD_SECTIONS,
     chosen_names,
     chosen_sections,
 )
+from analysis.evaluation.sound.printing import print_sound
+from analysis.evaluation.sysid.printing import print_sysid
 from analysis.evaluation.writing import write_json_to, write_text_to
 from tunenet_logs.errors import UsageError
 
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
 
 Writers = dict[str, Callable[[Path], None]]
 """What an experiment can write, once all of its text is printed."""
-
 
 Experiment = Callable[
     [argparse.Namespace, tuple[int, ...], "Progress"], tuple[Iterable[str], Writers]
@@ -307,30 +307,6 @@ def _engines(
     }
 
 
-def _sysid(
-    arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
-) -> tuple[Iterable[str], Writers]:
-    """Users' models, tuned from logs of machines that no engine simulated."""
-    from analysis.evaluation.sysid.outcomes import SysidOutcome
-    from analysis.evaluation.sysid.records import sysid_csv, sysid_json
-    from analysis.evaluation.sysid.run import SysidOrder, sysid_sections
-    from analysis.evaluation.sysid.tables import sysid_table
-
-    wanted = chosen_sections(arguments, SYSID_SECTIONS)
-    order = SysidOrder(seeds, arguments.targets, wanted, arguments.jobs)
-    all_of_them: list[SysidOutcome] = []
-
-    def blocks() -> Iterator[str]:
-        for section, outcomes in sysid_sections(order, progress):
-            all_of_them.extend(outcomes)
-            yield sysid_table(section, outcomes, order)
-
-    return blocks(), {
-        "json": lambda path: write_json_to(path, sysid_json(all_of_them, order)),
-        "csv": lambda path: write_text_to(path, sysid_csv(all_of_them)),
-    }
-
-
 def _effort(arguments: argparse.Namespace) -> Effort:
     from analysis.evaluation.drop.networks import Effort
 
@@ -346,5 +322,6 @@ EXPERIMENTS: dict[str, Experiment] = {
     "real-balls": _real_balls,
     "bounce-shot": _bounce_shot,
     "engines": _engines,
-    "sysid": _sysid,
+    "sysid": print_sysid,
+    "sound": print_sound,
 }

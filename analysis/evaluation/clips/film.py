@@ -44,7 +44,10 @@ def centers_m(order: ClipOrder, seconds: Array) -> Array:
         order: the clip.
         seconds: after the release, increasing, shape (T,).
     """
-    up = drop_ball(order.ball, seconds).heights_m + order.look.radius_m
+    if order.heights_m is not None:
+        up = order.heights_m(seconds) + order.look.radius_m
+    else:
+        up = drop_ball(order.ball, seconds).heights_m + order.look.radius_m
     return np.column_stack([np.zeros((len(up), 2)), up])
 
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from analysis.evaluation.clips.ball import BallLook
 from analysis.evaluation.clips.scene import Stage, draw_stage
-from analysis.evaluation.clips.view import View, random_view
+from analysis.evaluation.clips.view import SIZES_PX, View, random_view
 from analysis.evaluation.video.bouncing_ball import DroppedBall
+from tunenet_logs.arrays import Array
 
 DROP_M = (0.2, 2.0)
 RESTITUTION = (0.1, 0.95)
@@ -88,6 +90,8 @@ class ClipOrder:
         jpeg_quality: of 100.
         h264_factor: constant rate factor; smaller is better.
         pixel_seed: draws the noise.
+        heights_m: of the ball over its contact at times after the release, shape (T,), where they
+            are not what `ball` does by itself.
     """
 
     ball: DroppedBall
@@ -106,15 +110,23 @@ class ClipOrder:
     jpeg_quality: int
     h264_factor: int
     pixel_seed: int
+    heights_m: Callable[[Array], Array] | None = None
 
 
 def draw_clip(seed: int, index: int) -> ClipOrder:
     """The clip of that number; the same numbers give the same clip."""
     rng = np.random.default_rng([seed, index, 0xC11B])
     ball = DroppedBall(float(rng.uniform(*DROP_M)), float(rng.uniform(*RESTITUTION)))
+    return draw_clip_of(ball, rng)
+
+
+def draw_clip_of(
+    ball: DroppedBall, rng: np.random.Generator, sizes_px: Sequence[tuple[int, int]] = SIZES_PX
+) -> ClipOrder:
+    """A clip of this ball, its pictures of one of these sizes."""
     while True:
         radius_m = float(rng.uniform(*_RADIUS_M))
-        view = random_view(rng, ball.drop_m, radius_m)
+        view = random_view(rng, ball.drop_m, radius_m, sizes_px)
         if view is not None:
             break
     stage = draw_stage(view, ball.drop_m, rng)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -99,9 +100,14 @@ class View:
         return looks
 
 
-def random_view(rng: np.random.Generator, drop_m: float, radius_m: float) -> View | None:
+def random_view(
+    rng: np.random.Generator,
+    drop_m: float,
+    radius_m: float,
+    sizes_px: Sequence[tuple[int, int]] = SIZES_PX,
+) -> View | None:
     """A camera that has the whole fall in its picture, at a fair size; None after `_TRIES`."""
-    size = SIZES_PX[int(rng.integers(len(SIZES_PX)))]
+    size = sizes_px[int(rng.integers(len(sizes_px)))]
     path = np.array([[0.0, 0.0, radius_m], [0.0, 0.0, radius_m + drop_m]])
     for _ in range(_TRIES):
         distance = drop_m * rng.uniform(*_DISTANCE) + 4 * radius_m

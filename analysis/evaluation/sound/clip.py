@@ -18,7 +18,7 @@ from analysis.evaluation.sound.sound_file import through_aac, write_sound
 from analysis.evaluation.sound.sounding_balls import (
     SOUNDING_BALLS,
     SOUNDING_TABLES,
-    DrawnBall,
+    SampledBall,
     ImpactVoice,
     draw_ball,
     draw_voice,
@@ -75,7 +75,7 @@ class SoundScene:
         seed: of what differs from impact to impact.
     """
 
-    ball: DrawnBall
+    ball: SampledBall
     table: str
     history: BounceHistory
     voice: ImpactVoice

@@ -136,7 +136,7 @@ class ImpactVoice:
 
 
 @dataclass(frozen=True)
-class DrawnBall:
+class SampledBall:
     """One ball of a kind.
 
     Attributes:
@@ -156,7 +156,7 @@ _DRAG_SD = 0.05
 """By which a ball's drag differs from what its size and mass say (log, one sd): seams, nap, air."""
 
 
-def draw_ball(kind: SoundingBall, rng: np.random.Generator) -> DrawnBall:
+def draw_ball(kind: SoundingBall, rng: np.random.Generator) -> SampledBall:
     """A ball of this kind: a user weighs and measures it to 1 %."""
     diameter_m = float(rng.uniform(*kind.diameter_m))
     mass_kg = float(rng.uniform(*kind.density_kg_m3)) * np.pi / 6 * diameter_m**3
@@ -165,7 +165,7 @@ def draw_ball(kind: SoundingBall, rng: np.random.Generator) -> DrawnBall:
     off = np.exp(rng.normal(0.0, [0.01, 0.01, _DRAG_SD]))
     told = Ball(float(diameter_m * off[0]), float(mass_kg * off[1]), kind.drag_coefficient)
     contact_s = float(np.exp(rng.uniform(*np.log(kind.contact_s))))
-    return DrawnBall(kind.name, told, float(drag * off[2]), contact_s)
+    return SampledBall(kind.name, told, float(drag * off[2]), contact_s)
 
 
 def draw_voice(

@@ -161,7 +161,7 @@ def test_the_command_prints_and_writes_the_tables_it_is_asked_for(
         (("video", "--sections", ","), "--sections names none; there is: set-A"),
         (
             ("drop", "--sections", "bad"),
-            "is for video, payload, real-balls, bounce-shot and sysid, not",
+            "is for video, payload, real-balls, bounce-shot, sysid and sound, not",
         ),
         (("video", "--methods", "mean"), "--methods is for drop, not video"),
         (("video", "--rrd", "a.rrd"), "--rrd is for drop, not video"),
