@@ -46,6 +46,9 @@ _AROUND_S = (0.010, 0.006)
 _WHITENED_S, _ORDER = 0.05, 16
 """Of background before it, and of the linear prediction that whitens it."""
 
+_ECHO_S, _ECHO_DB = 0.05, 1.0
+"""After a knock, in which softer ones are its echoes; and by how much softer."""
+
 _LEAST_SD_S = 2e-5
 """Of a moment: one sample."""
 
@@ -107,7 +110,15 @@ def onsets(sound: Sound) -> Onsets:
         10 * np.log10(own.sum(axis=0)),
         (colours_db - colours_db.mean(axis=0)).T,
     )
-    return found.only(np.argsort(found.times_s, kind="stable"))
+    found = found.only(np.argsort(found.times_s, kind="stable"))
+    return found.only(~_echoes(found.times_s, found.loudness_db))
+
+
+def _echoes(times_s: Array, loudness_db: Array) -> NDArray[np.bool_]:
+    """Which knocks follow a louder one so soon that a wall may have thrown that back."""
+    since_s = times_s[:, None] - times_s[None, :]
+    louder = loudness_db[None, :] > loudness_db[:, None] + _ECHO_DB
+    return ((since_s > 0) & (since_s < _ECHO_S) & louder).any(axis=1)
 
 
 def _hop(rate_hz: float) -> int:

@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.drop.times.fit import Rig, fit_times
+from analysis.drop.times.fit import Rig
 from analysis.drop.times.knocks import Chain, Crowd, chains, softer_db
+from analysis.drop.times.likelihood import log_likelihood
 from analysis.drop.times.missing_impacts import MISSED
 from analysis.drop.times.posterior import MOST_TIMES, Besides, HeardBall, heard_ball
 from analysis.listening.onsets import Onsets
@@ -28,6 +29,9 @@ _CHANGES = 30
 
 _BEFORE_S, _NEAR_S = 1.6, 0.02
 """Before the first impact, and about a foretold one, where knocks are tried."""
+
+_EVEN = 0.985
+"""Restitution of a beat that keeps on: of no ball."""
 
 _TRIED = 6
 """Knocks, for one impact."""
@@ -89,9 +93,11 @@ class _Judge:
         which, numbers = chain.which, chain.numbers
         times_s = self.heard.times_s[which]
         rate = float(np.log(self.crowd.rate_hz))
-        fitted = fit_times(times_s, numbers, rate, self.rig, fine=False)
+        odds, restitution = log_likelihood(times_s, numbers, rate, self.rig)
+        if restitution > _EVEN:
+            return replace(chain, score=-np.inf)
         missed = int(numbers.max()) + 1 - len(which)
-        score = fitted.log_evidence + missed * np.log(MISSED) + len(which) * np.log1p(-MISSED)
+        score = odds + missed * np.log(MISSED) + len(which) * np.log1p(-MISSED)
         return replace(chain, score=score + self._beside(chain))
 
     def _beside(self, chain: Chain) -> float:

@@ -22,8 +22,11 @@ from tunenet_logs.arrays import Array
 HEIGHT_SD, LEAST_HEIGHT_SD_M = 0.005, 0.003
 """By how much a height may be off that was measured by hand: a fraction, and a length [m]."""
 
-CONTACT_S, CONTACT_SD_S = 0.002, 0.0025
+CONTACT_S, CONTACT_SD_S, CONTACTS_S = 0.002, 0.003, (0.0, 0.009)
 """How long a ball touches the table: a steel ball .2 ms, a soft one 8 ms."""
+
+BOUNCE_SCATTER = 0.002
+"""Standard deviation of each impact's own restitution about the law, as a fraction."""
 
 _FREEDOM = 2.0
 """Of the height's distribution."""
@@ -37,7 +40,7 @@ _ITERATIONS, _SHORT = 7, 1e-6
 _LEAST_SD = 1e-5
 """Of a restitution: no clock and no table are better."""
 
-_FLIGHT_RANGE = np.log(100.0)
+FLIGHT_RANGE = float(np.log(100.0))
 """Of the log duration of a first flight, before it is heard."""
 
 _NEGLIGIBLE = 1e-6
@@ -127,19 +130,45 @@ def fit_times(
         rig.drag_1_m,
         has_clock=rig.has_clock,
     )
-    balls = _weighed(_Fit.of(times_s, numbers, nodes), nodes, log_rate, rig)
+    white = Whitening.of(times_s, numbers, rig)
+    balls = _weighed(_Fit.of(times_s, numbers, nodes, white), nodes, log_rate, rig)
     if not fine:
         return balls
     positive = balls.drags_1_m > 0
     logs = np.log(np.where(positive, balls.drags_1_m, priors.USUAL_DRAG_1_M))
     ends = [_about(balls, balls.slopes, 0.01), _about(balls, logs, 0.1)]
     nodes = priors.nodes(ends[0], ends[1], _FINE, rig.drag_1_m, has_clock=rig.has_clock)
-    return _weighed(_Fit.of(times_s, numbers, nodes), nodes, log_rate, rig)
+    return _weighed(_Fit.of(times_s, numbers, nodes, white), nodes, log_rate, rig)
 
 
 def _about(balls: Balls, values: Array, least_sd: float) -> tuple[float, float]:
     middle, sd = balls.mean(values), max(balls.sd(values), least_sd)
     return middle - _REACH_SDS * sd, middle + _REACH_SDS * sd
+
+
+@dataclass(frozen=True, eq=False)
+class Whitening:
+    """Makes residuals of the times independent, of the size of the jitter.
+
+    An impact that returns more than the law says makes all later flights longer. How much that is
+    beside the jitter is taken from the usual jitter.
+
+    Attributes:
+        rows: lower triangle, shape (N, N).
+        log_size: logarithm of its determinant.
+    """
+
+    rows: Array
+    log_size: float
+
+    @classmethod
+    def of(cls, times_s: Array, numbers: NDArray[np.int64], rig: Rig) -> Whitening:
+        """Of the times that were heard."""
+        every = np.interp(np.arange(numbers.max() + 1), numbers, times_s)
+        later_s = np.maximum(times_s[:, None] - every[None, 1:-1], 0.0)
+        spread = np.eye(len(times_s)) + (BOUNCE_SCATTER / rig.jitter_s) ** 2 * later_s @ later_s.T
+        rows = np.linalg.inv(np.linalg.cholesky(spread))
+        return cls(rows, float(np.log(np.diag(rows)).sum()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,6 +183,7 @@ class _Fit:
         leans: change of the unknowns with longer contacts, shape (M, 3) [1/s].
         across: sum of the residuals times what a contact of 1 s more makes of them, shape (M,) [s].
         bends: sum of the squares of the latter, shape (M,).
+        log_size: see `Whitening`.
         seconds_m_s: speed of the second impact, shape (M,).
         count: N, of the times.
     """
@@ -166,9 +196,16 @@ class _Fit:
     bends: Array
     seconds_m_s: Array
     count: int
+    log_size: float
 
     @classmethod
-    def of(cls, times_s: Array, numbers: NDArray[np.int64], nodes: priors.Nodes) -> _Fit:
+    def of(
+        cls,
+        times_s: Array,
+        numbers: NDArray[np.int64],
+        nodes: priors.Nodes,
+        white: Whitening,
+    ) -> _Fit:
         """Gauss-Newton for all balls at once, from the ball without air that fits best."""
         count = int(numbers.max())
 
@@ -177,7 +214,7 @@ class _Fit:
 
         longer = numbers.astype(np.float64)  # each contact before a time delays it
         times_s = times_s - CONTACT_S * longer
-        start = _ideal(times_s, numbers)
+        start = ideal_ball(times_s, numbers)
         unknowns = np.tile(start, (len(nodes.slopes), 1))
         first = left = np.zeros((len(times_s), len(unknowns)))
         leans = np.zeros_like(unknowns)
@@ -187,7 +224,7 @@ class _Fit:
             here = flown(begin, kept)
             hits = here.impacts_s[numbers]
             seconds = here.arriving_m_s[1]
-            first = times_s[:, None] - unknowns[:, 0] - hits
+            first = white.rows @ (times_s[:, None] - unknowns[:, 0] - hits)
             jacobian = np.stack(
                 [
                     np.ones_like(hits),
@@ -196,12 +233,14 @@ class _Fit:
                 ],
                 axis=-1,
             )
+            jacobian = np.tensordot(white.rows, jacobian, 1)
             normal = np.einsum("nmi,nmj->mij", jacobian, jacobian)
             normal += 1e-12 * np.eye(3)
             spread = np.linalg.inv(normal)
             if step == _ITERATIONS:
-                leans = -np.einsum("mij,nmj,n->mi", spread, jacobian, longer)
-                left = longer[:, None] + np.einsum("nmi,mi->nm", jacobian, leans)
+                late = white.rows @ longer
+                leans = -np.einsum("mij,nmj,n->mi", spread, jacobian, late)
+                left = late[:, None] + np.einsum("nmi,mi->nm", jacobian, leans)
                 break
             gradient = np.einsum("nmi,nm->mi", jacobian, first)
             moves = np.einsum("mij,mj->mi", spread, gradient)
@@ -210,10 +249,12 @@ class _Fit:
             unknowns[:, 2] = np.clip(unknowns[:, 2], 0.01, 1.3)
         across, bends = (first * left).sum(axis=0), (left**2).sum(axis=0)
         squares = (first**2).sum(axis=0)
-        return cls(unknowns, spread, squares, leans, across, bends, seconds, len(times_s))
+        return cls(
+            unknowns, spread, squares, leans, across, bends, seconds, len(times_s), white.log_size
+        )
 
 
-def _ideal(times_s: Array, numbers: NDArray[np.int64]) -> Array:
+def ideal_ball(times_s: Array, numbers: NDArray[np.int64]) -> Array:
     """The best ball without air and slope: first impact [s], log speed [m/s], restitution."""
     powers = _TRIED[:, None] ** np.arange(int(numbers.max()))
     at = np.cumsum(np.column_stack([np.zeros(len(_TRIED)), powers]), axis=1)[:, numbers]
@@ -246,20 +287,45 @@ class _Told:
 
     @classmethod
     def of(cls, fit: _Fit) -> _Told:
-        """A contact's prior is normal, and what it changes linear: all in closed form."""
+        """What a contact changes is linear, and its prior a part of a normal distribution."""
         jitters = priors.JITTERS_S
         sharpness = fit.bends[:, None] / jitters**2 + CONTACT_SD_S**-2
         pull = fit.across[:, None] / jitters**2
-        longer_s = pull / sharpness
+        sd = sharpness**-0.5
+        ends = np.array(CONTACTS_S) - CONTACT_S
+        log_share, longer_s, variance = _cut_normal(pull / sharpness, sd, *ends)
         leans = fit.leans[:, None, 1:]
         own = jitters[:, None, None] ** 2 * fit.spread[:, None, 1:, 1:]
-        shared = leans[..., :, None] * leans[..., None, :] / sharpness[..., None, None]
+        shared = leans[..., :, None] * leans[..., None, :] * variance[..., None, None]
+        gains = 0.5 * pull**2 / sharpness + np.log(sd / CONTACT_SD_S) + log_share
         return cls(
             fit.unknowns[:, None, 1:] + leans * longer_s[..., None],
             own + shared,
             CONTACT_S + longer_s,
-            0.5 * pull**2 / sharpness - 0.5 * np.log(sharpness * CONTACT_SD_S**2),
+            gains,
         )
+
+
+def _cut_normal(
+    middle: Array, sd: Array, low: float, high: float
+) -> tuple[Array, Array, Array]:
+    """Logarithm of a normal distribution's share between two ends, mean and variance there."""
+    from scipy.special import log_ndtr
+
+    flipped = middle > (low + high) / 2  # so that the nearer end is the lower one
+    centre = np.where(flipped, -middle, middle)
+    first, last = np.where(flipped, -high, low), np.where(flipped, -low, high)
+    begin, end = (first - centre) / sd, (last - centre) / sd
+    over, beyond = log_ndtr(-begin), log_ndtr(-end)
+    log_share = over + np.log1p(-np.exp(np.minimum(beyond - over, -1e-12)))
+    density_begin, density_end = (
+        np.exp(-0.5 * at**2 - 0.5 * np.log(2 * np.pi) - log_share) for at in (begin, end)
+    )
+    shift = density_begin - density_end
+    inside = np.clip(centre + sd * shift, first, last)
+    bent = 1 + begin * density_begin - np.where(np.isfinite(end), end * density_end, 0.0) - shift**2
+    variance = np.clip(sd**2 * bent, 0.0, sd**2)
+    return log_share, np.where(flipped, -inside, inside), variance
 
 
 def _weighed(fit: _Fit, nodes: priors.Nodes, log_rate: float, rig: Rig) -> Balls:
@@ -268,10 +334,10 @@ def _weighed(fit: _Fit, nodes: priors.Nodes, log_rate: float, rig: Rig) -> Balls
     free = fit.count - 3
     told = _Told.of(fit)
     log = nodes.log_prior[:, None] + priors.log_jitter_prior(rig.jitter_s)[None, :]
-    log = log + told.log_gains
+    log = log + told.log_gains + fit.log_size
     log = log - fit.squares[:, None] / (2 * jitters**2) - free * np.log(jitters)
     log = log + 0.5 * np.linalg.slogdet(fit.spread)[1][:, None]
-    log -= 0.5 * free * np.log(2 * np.pi) + np.log(_FLIGHT_RANGE) + (fit.count - 1) * log_rate
+    log -= 0.5 * free * np.log(2 * np.pi) + np.log(FLIGHT_RANGE) + (fit.count - 1) * log_rate
     begin, value = told.middles[..., 0], told.middles[..., 1]
     variance = told.covariances[..., 1, 1]
     off_sds = np.zeros_like(log)

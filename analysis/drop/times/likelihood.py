@@ -1,0 +1,93 @@
+"""How much better a ball explains times than noises do, at once: all unknowns near the best ball.
+
+`fit` averages over a grid of slopes and drags, and takes its time; to choose among readings of many
+knocks, one ball is fitted with the same unknowns and priors, and what lies about it is normal.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.drop.times import impact_prior as priors
+from analysis.drop.times.fit import (
+    CONTACT_S,
+    CONTACT_SD_S,
+    FLIGHT_RANGE,
+    Rig,
+    Whitening,
+    ideal_ball,
+)
+from analysis.drop.times.flight_times import flights
+from tunenet_logs.arrays import Array
+
+_SLOPE, _SLOPE_SD = 0.04, 0.07
+_ITERATIONS = 8
+_STEPS = np.array([1e-6, 1e-6, 1e-5, 1e-4])
+"""Of the derivatives: log speed, restitution, slope, log drag."""
+
+_FLAT = 3
+"""Unknowns without a prior: time of the first impact, log speed after it, restitution."""
+
+_LEAST, _MOST = np.array([-0.25, np.log(5e-4)]), np.array([0.45, np.log(0.6)])
+"""Slope and log drag, within which balls are."""
+
+
+def log_likelihood(
+    times_s: Array, numbers: NDArray[np.int64], log_rate: float, rig: Rig
+) -> tuple[float, float]:
+    """Logarithm of the odds against noises at random times, and the ball's restitution.
+
+    Args:
+        times_s: of the impacts, shape (N,), N at least 3 [s].
+        numbers: of the impacts, the first 0, shape (N,).
+        log_rate: logarithm of the density of noises' times [1/s].
+        rig: what is known of the ball; its height is not used.
+    """
+    rows = Whitening.of(times_s, numbers, rig)
+    log_drag = np.log(rig.drag_1_m or priors.USUAL_DRAG_1_M)
+    middles = np.array([0.0, 0.0, 0.0, _SLOPE, log_drag, CONTACT_S])
+    drag_sd = priors.KNOWN_DRAG if rig.drag_1_m else priors.LOG_DRAG_SD
+    prior = np.array([0.0, 0.0, 0.0, _SLOPE_SD**-2, drag_sd**-2, CONTACT_SD_S**-2])
+    at = middles.copy()
+    at[:_FLAT] = ideal_ball(times_s - CONTACT_S * numbers, numbers)
+    left, columns = _seen(times_s, numbers, at)
+    for _ in range(_ITERATIONS):
+        left, columns = rows.rows @ left, rows.rows @ columns
+        normal = columns.T @ columns / rig.jitter_s**2 + np.diag(prior + 1e-9)
+        pull = columns.T @ left / rig.jitter_s**2 + prior * (middles - at)
+        step = np.linalg.solve(normal, pull)
+        step[1:3] = np.clip(step[1:3], -0.15, 0.15)
+        at = at + step
+        at[2] = np.clip(at[2], 0.01, 1.3)
+        at[3:5] = np.clip(at[3:5], _LEAST, _MOST)
+        left, columns = _seen(times_s, numbers, at)
+    left, columns = rows.rows @ left, rows.rows @ columns
+    jitters = priors.JITTERS_S[:, None, None]
+    normal = columns.T @ columns / jitters**2 + np.diag(prior + 1e-9)
+    pull = (columns.T @ left) / jitters[..., 0] ** 2 + prior * (middles - at)
+    gain = np.einsum("ji,ji->j", pull, np.linalg.solve(normal, pull[..., None])[..., 0])
+    squares = (left @ left) / priors.JITTERS_S**2 + prior @ (middles - at) ** 2 - gain
+    log = priors.log_jitter_prior(rig.jitter_s) - 0.5 * squares
+    log = log - len(times_s) * np.log(priors.JITTERS_S) - 0.5 * np.linalg.slogdet(normal)[1]
+    log = log + 0.5 * np.log(prior[_FLAT:]).sum() + rows.log_size
+    log = log - 0.5 * (len(times_s) - _FLAT) * np.log(2 * np.pi)
+    most = float(log.max())
+    found = most + float(np.log(np.exp(log - most).sum()))
+    return found - FLIGHT_RANGE_LOG - (len(times_s) - 1) * log_rate, float(at[2])
+
+
+FLIGHT_RANGE_LOG = float(np.log(FLIGHT_RANGE))
+
+
+def _seen(times_s: Array, numbers: NDArray[np.int64], at: Array) -> tuple[Array, Array]:
+    """Residuals of the times, shape (N,), and the derivatives of what is foretold, (N, 6)."""
+    balls = np.tile(at[1:5], (5, 1))
+    balls[1:] += np.diag(_STEPS)
+    count = int(numbers.max())
+    speed, kept, slope, log_drag = balls.T
+    hits = flights(count, np.exp(speed), kept, slope, np.exp(log_drag)).impacts_s[numbers]
+    columns = np.column_stack(
+        [np.ones(len(numbers)), (hits[:, 1:] - hits[:, :1]) / _STEPS, numbers]
+    )
+    return times_s - at[0] - hits[:, 0] - at[5] * numbers, columns
