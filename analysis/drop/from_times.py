@@ -1,4 +1,5 @@
-"""A drop by its impact times alone: restitution from how much shorter each flight is."""
+"""A drop by its impacts alone, as times in a log or as a sound: restitution from how much shorter
+each flight is."""
 
 from __future__ import annotations
 
@@ -7,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from analysis.checks import Check, CrossCheck
-from analysis.drop.remedies import RIGHT_TIMES
+from analysis.drop.remedies import RIGHT_SOUND, RIGHT_TIMES
 from analysis.drop.times.checks import ratio_cross_check, times_checks
 from analysis.drop.times.detection import (
     FEWEST_IMPACTS,
@@ -17,6 +18,8 @@ from analysis.drop.times.detection import (
     times_problem,
 )
 from analysis.drop.times.fit import Rig
+from analysis.drop.times.impact_prior import ONSET_JITTER_S
+from analysis.drop.times.listened import listened
 from analysis.drop.times.motion import heard_motion, heard_rebounds
 from analysis.drop.times.posterior import MOST_TIMES
 from analysis.estimators.base import FitResult, Step
@@ -44,7 +47,7 @@ class DropFromTimes:
     name = "drop-times"
     kind = "drop"
     occasion = "drop"
-    observed = "times of impacts"
+    observed = "times or sound of impacts"
     takes: frozenset[Subject] = frozenset(("ball", "height"))
     presets: ClassVar[dict[str, Preset]] = {"default": Preset(True, REAL_BALL, "fit")}
     problem = staticmethod(times_problem)
@@ -52,8 +55,9 @@ class DropFromTimes:
     rebounds = staticmethod(heard_rebounds)
 
     def claim(self, episode: Episode, topic: str | None) -> Claim:
-        """By impact times, where no positions and no pictures show more."""
-        if not signals_in(episode, topic):
+        """By impact times or sound, where no positions and no pictures show more."""
+        sounds = [one for one in episode.sound_topics if topic in (None, one)]
+        if not signals_in(episode, topic) and not sounds:
             return Claim.NONE
         if topic is not None:
             return Claim.PLAINLY
@@ -61,8 +65,10 @@ class DropFromTimes:
         return Claim.PERHAPS if more or episode.picture_topics else Claim.PLAINLY
 
     def detect(self, episode: Episode, selection: Selection, preset: str) -> TimesDetection:  # noqa: ARG002 (there is one)
-        """The signal with the most times; see `Experiment.detect`."""
+        """The signal with the most times, else the sound; see `Experiment.detect`."""
         names = signals_in(episode, selection.topic)
+        if not names and episode.sound_topics:
+            return _heard_in_sound(episode, selection)
         if not names:
             raise no_times(episode, selection.topic)
         signal = episode.signals[names[0]]
@@ -94,8 +100,7 @@ class DropFromTimes:
             if height_m is not None:
                 warnings.append("--height not used: without a true clock it tells nothing")
             height_m = None
-        if height_m is not None and not 0 < height_m <= _HIGHEST_M:
-            raise NotFoundError(f"--height {height_m:g} m is no height of a drop; give it in m")
+        _check_height(height_m)
         ball = completed(selection.ball, recorded_ball(episode.info))
         return TimesDetection(
             topic=signal.name,
@@ -124,3 +129,28 @@ class DropFromTimes:
         if tuning.detection is None or tuning.trace is None:
             return log_refused_times(stream, tuning)
         return log_times(stream, tuning)
+
+
+def _check_height(height_m: float | None) -> None:
+    if height_m is not None and not 0 < height_m <= _HIGHEST_M:
+        raise NotFoundError(f"--height {height_m:g} m is no height of a drop; give it in m")
+
+
+def _heard_in_sound(episode: Episode, selection: Selection) -> TimesDetection:
+    _check_height(selection.height_m)
+    heard = listened(episode, selection)
+    if len(heard.knocks) < FEWEST_IMPACTS:
+        raise NotFoundError(
+            f"{heard.sound.name}: {len(heard.knocks)} knocks are heard, too few for two flights",
+            RIGHT_SOUND,
+        )
+    ball = completed(selection.ball, recorded_ball(episode.info))
+    return TimesDetection(
+        topic=heard.sound.name,
+        start_ns=heard.sound.start_ns,
+        times_s=heard.knocks.times_s,
+        rig=Rig(ball.drag_1_m, selection.height_m, jitter_s=ONSET_JITTER_S),
+        ball=ball,
+        warnings=heard.sound.warnings,
+        listened=heard,
+    )

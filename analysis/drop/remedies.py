@@ -25,3 +25,8 @@ DENSER = (
 RIGHT_LENGTHS = "name the unit with --length-unit m, cm, mm, in or ft"
 
 RIGHT_TIMES = "give the times of impacts in seconds, those of one ball alone (--start, --end)"
+
+RIGHT_SOUND = (
+    f"{_NEXT} record one ball that bounces five times or more, the microphone near it, in a quiet "
+    "room (--start, --end choose a part)"
+)

@@ -8,8 +8,10 @@ from functools import cached_property
 
 import numpy as np
 
-from analysis.drop.remedies import RIGHT_TIMES
+from analysis.drop.remedies import RIGHT_SOUND, RIGHT_TIMES
+from analysis.drop.times.ball_among import BallAmong
 from analysis.drop.times.fit import Rig
+from analysis.drop.times.listened import Listened
 from analysis.drop.times.posterior import HeardBall, heard_ball
 from analysis.estimators.base import FitResult, Observation, Problem
 from recorders.simulators.balls import Ball
@@ -52,6 +54,7 @@ class TimesDetection:
         rig: what is known beside them.
         ball: what was dropped, as far as it is known.
         warnings: what a user should know, in words.
+        listened: the sound that they were found in; None where a log gives times.
     """
 
     topic: str
@@ -60,6 +63,7 @@ class TimesDetection:
     rig: Rig
     ball: Ball
     warnings: tuple[str, ...] = ()
+    listened: Listened | None = None
 
     @property
     def uses_ball(self) -> bool:
@@ -73,6 +77,8 @@ class TimesDetection:
         Raises:
             NotFoundError: no ball does; the message says what the times are.
         """
+        if self.listened is not None:
+            return self._among_knocks
         found = heard_ball(self.times_s, self.rig)
         apart_s = np.diff(self.times_s)
         what = (
@@ -92,6 +98,21 @@ class TimesDetection:
                 f"{what}, {refused}; noises at random times explain them better", RIGHT_TIMES
             )
         return found
+
+    @cached_property
+    def among(self) -> BallAmong | None:
+        """Of a sound: the ball among its knocks; None where nothing sounds like one."""
+        return None if self.listened is None else self.listened.ball(self.rig)
+
+    @property
+    def _among_knocks(self) -> HeardBall:
+        if self.among is None or self.among.ball.log_odds < _NO_ODDS:
+            raise NotFoundError(
+                f"{self.topic}: {len(self.times_s)} knocks are heard, but no ball that bounces: "
+                "its knocks follow each other faster and faster, and get softer",
+                RIGHT_SOUND,
+            )
+        return self.among.ball
 
     @property
     def window(self) -> Mapping[str, float]:
