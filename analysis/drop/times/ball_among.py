@@ -33,6 +33,12 @@ _BEFORE_S, _NEAR_S = 1.6, 0.02
 _EVEN = 0.985
 """Restitution of a beat that keeps on: of no ball."""
 
+_SECONDS = 6
+"""Chains of other knocks that are looked at."""
+
+_ECHO_SPREAD_S = 0.002
+"""By which what is late by the same time everywhere is an echo."""
+
 _TRIED = 6
 """Knocks, for one impact."""
 
@@ -44,12 +50,12 @@ class BallAmong:
     Attributes:
         ball: by its impact times, on the sound's clock.
         which: indices of its impacts among the onsets, shape (N,).
-        others: knocks between its first impact and its last that are as loud as its own there.
+        second_odds: logarithm of the odds for a second ball while this one bounces.
     """
 
     ball: HeardBall
     which: NDArray[np.int64]
-    others: int
+    second_odds: float
 
 
 def ball_among(heard: Onsets, lasts_s: float, rig: Rig) -> BallAmong | None:
@@ -71,7 +77,7 @@ def ball_among(heard: Onsets, lasts_s: float, rig: Rig) -> BallAmong | None:
     if ball is None:
         return None
     kept = which[ball.reading.heard]
-    return BallAmong(ball, kept, _others(heard, kept))
+    return BallAmong(ball, kept, _second_odds(judge, kept))
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,9 +171,17 @@ def _changes(heard: Onsets, chain: Chain) -> list[Chain]:
     return found
 
 
-def _others(heard: Onsets, which: NDArray[np.int64]) -> int:
-    times_s, loud = heard.times_s, heard.loudness_db
-    inside = (times_s > times_s[which[0]]) & (times_s < times_s[which[-1]])
-    inside[which] = False
-    as_loud = loud > np.interp(times_s, times_s[which], loud[which]) - 3.0
-    return int((inside & as_loud).sum())
+def _second_odds(judge: _Judge, which: NDArray[np.int64]) -> float:
+    """Of the best chain of other knocks that begins before the ball's last impact."""
+    heard, own_s = judge.heard, judge.heard.times_s[which]
+    others = heard.only(np.setdiff1d(np.arange(len(heard)), which))
+    inside = (others.times_s > own_s[0] - _BEFORE_S) & (others.times_s < own_s[-1])
+    others = others.only(inside)
+    judge = replace(judge, heard=others)
+    odds = -np.inf
+    for chain in chains(others, float(own_s[-1] - own_s[0]) + _BEFORE_S)[:_SECONDS]:
+        times_s = others.times_s[chain.which]
+        late_s = times_s - own_s[np.maximum(np.searchsorted(own_s, times_s) - 1, 0)]
+        if np.ptp(late_s) > _ECHO_SPREAD_S:
+            odds = max(odds, judge.judged(chain).score)
+    return float(odds)

@@ -76,6 +76,8 @@ def times_checks(detection: TimesDetection, last: Step, fit: FitResult | None) -
             advice="put the microphone near the impact, and set its threshold low",
         ),
     ]
+    if detection.among is not None:
+        checks.append(_alone_check(detection.among.second_odds))
     checks += _no_rhythm(heard)
     slope = float(heard.interval95[1].mean())
     checks.append(
@@ -100,6 +102,16 @@ def times_checks(detection: TimesDetection, last: Step, fit: FitResult | None) -
     if fit is not None:
         checks.append(sure_check(*fit.interval95[0], reject=_UNSURE))
     return (*checks, _simulation_check(heard, off_s(detection, last)))
+
+
+def _alone_check(second_odds: float) -> Check:
+    odds = float(np.exp(np.clip(second_odds, -20.0, 20.0)))
+    return Check(
+        "one ball alone",
+        second_odds < _SURE_ODDS,
+        f"{odds:.3g} to 1 for a second ball at the same time (at most {np.exp(_SURE_ODDS):.0f})",
+        advice="let one ball bounce at a time, or choose a part with --start and --end",
+    )
 
 
 def _no_rhythm(heard: HeardBall) -> tuple[Check, Check]:
