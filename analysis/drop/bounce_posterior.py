@@ -26,6 +26,7 @@ from analysis.drop.bounce_model import (
     TOUCH,
 )
 from analysis.drop.contact_bound import ContactBound
+from analysis.drop.times.impact_prior import NO_DRAG, NO_SLOPE
 from analysis.statistics import TWO_SIDED, correlation_time, mixture_quantile
 from recorders.simulators.base import GRAVITY_M_S2
 from tunenet_logs.arrays import Array
@@ -245,16 +246,19 @@ class _Grid:
         middle, sds = likelihood.middle, likelihood.sds
         slopes, slope_step = _nodes(float(middle[0]), float(sds[0]), -0.05, 0.45)
         drags, drag_step = _nodes(float(middle[1]) / height_m, float(sds[1]) / height_m, 0.0, 1.0)
-        slope_prior = _slope_density(slopes) * slope_step * (1 - _NO_SLOPE)
+        is_heard = fit.samples.heard is not None
+        no_slope = NO_SLOPE if is_heard else _NO_SLOPE
+        slope_prior = _slope_density(slopes) * slope_step * (1 - no_slope)
         known = fit.samples.drag_1_m
         if known is None:
             none = _NO_DRAG if fit.samples.in_metres else _NO_DRAG_IN_PICTURE
+            none = NO_DRAG if is_heard else none
             drag_prior = _drag_density(drags) * drag_step * (1 - none)
             drags, drag_prior = np.append(drags, 0.0), np.append(drag_prior, none)
         else:
             drags, drag_step = _nodes(known, KNOWN_DRAG * known, 0.0, 2 * known)
             drag_prior = np.exp(-0.5 * ((drags - known) / (KNOWN_DRAG * known)) ** 2)
-        slopes, slope_prior = np.append(slopes, 0.0), np.append(slope_prior, _NO_SLOPE)
+        slopes, slope_prior = np.append(slopes, 0.0), np.append(slope_prior, no_slope)
         both = np.meshgrid(slopes, drags, indexing="ij")
         flat_slopes, flat_drags = (one.ravel() for one in both)
         prior = np.outer(slope_prior, drag_prior).ravel()
