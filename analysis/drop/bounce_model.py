@@ -3,7 +3,8 @@
 The ball is in closed form (`Bounce`): its restitution e at the first impact, how that falls with
 speed, and the air's drag. The camera is a projective map of the vertical (`Projection`). Recorded
 positions are a film whose camera is known: it has no perspective, and its span is the drop height,
-as far as the log's metres are metres.
+as far as the log's metres are metres. Impacts that were heard, too, are further measurements
+(`HeardTouches`): the sound is late by an offset that is unknown, and contacts last.
 """
 
 from __future__ import annotations
@@ -13,6 +14,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.drop.heard_touches import (
+    HEARD_FREEDOM,
+    OFFSET_SD_S,
+    TOUCH_S,
+    TOUCH_SD_S,
+    HeardTouches,
+)
+from analysis.drop.prior import Prior
 from analysis.drop.projection import PERSPECTIVE_SD, projected
 from recorders.simulators.base import GRAVITY_M_S2
 from recorders.simulators.closed_form.bounce import Bounce
@@ -23,6 +32,9 @@ RESTITUTION, IMPACT, FALL, CONTACT, SPAN, PERSPECTIVE, SLOPE, DRAG = range(8)
 """Indices of the unknowns: e, t1 [s], log T0, A, B, k, p, drag times drop height.
 
 A and B are in the positions' unit. The unknowns from 8 on are the bends, see `BounceSamples`."""
+
+OFFSET, TOUCH = 14, 15
+"""Those of impacts that are heard: by how much the sound is late, how long a contact lasts [s]."""
 
 IDEAL = (RESTITUTION, IMPACT, FALL, CONTACT, SPAN, PERSPECTIVE)
 """What is fitted first, roughly, of a film: a ball that keeps its restitution, without air."""
@@ -56,12 +68,16 @@ FREEDOM = 8.0
 MOST_BENDS = 6
 """Impacts at which the contact may begin to move."""
 
-LOW = np.array([0.005, -np.inf, -np.inf, -np.inf, 0.0, -2.5, -0.3, 0.0, *[-np.inf] * MOST_BENDS])
-HIGH = np.array([1.0, np.inf, np.inf, np.inf, np.inf, 2.5, 0.5, 2.0, *[np.inf] * MOST_BENDS])
+_ANY, _HEARD_LOW, _HEARD_HIGH = [np.inf] * MOST_BENDS, (-np.inf, 0.0), (np.inf, 0.02)
+LOW = np.array([0.005, *[-np.inf] * 3, 0.0, -2.5, -0.3, 0.0, *np.negative(_ANY), *_HEARD_LOW])
+HIGH = np.array([1.0, *[np.inf] * 4, 2.5, 0.5, 2.0, *_ANY, *_HEARD_HIGH])
 """Of the unknowns, beyond what any ball or camera has."""
 
 _SHORT = 1e-5
 """Of an unknown of the ball, or of time [fall times], by which it is differentiated."""
+
+_FARTHER = 1.5
+"""How much later than the last sample an impact may be that was heard."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +97,7 @@ class BounceSamples:
         exposure_s: for which a shutter may have been open, around the time of a sample.
         bends_s: moments [s] from which on the contact may move through the picture: impacts. Each
             is an unknown, the rate in `BEND_SD` B a fall time.
+        heard: impacts that were heard, too; None where none were.
     """
 
     seconds: Array
@@ -93,6 +110,7 @@ class BounceSamples:
     drag_1_m: float | None = None
     exposure_s: float = 0.0
     bends_s: tuple[float, ...] = ()
+    heard: HeardTouches | None = None
 
     @property
     def own_noise(self) -> float:
@@ -104,7 +122,8 @@ class BounceSamples:
         """All that can be fitted to them."""
         ball = (RESTITUTION, IMPACT, FALL, CONTACT, SPAN, SLOPE, DRAG)
         bends = range(_KNOWN, _KNOWN + len(self.bends_s))
-        return ball if self.in_metres else (*IDEAL, SLOPE, DRAG, *bends)
+        seen = ball if self.in_metres else (*IDEAL, SLOPE, DRAG, *bends)
+        return seen if self.heard is None else (*seen, OFFSET, TOUCH)
 
     def part(self, first: int, last: int) -> BounceSamples:
         """The samples from index `first` on, before `last`."""
@@ -115,12 +134,17 @@ class BounceSamples:
         return replace(self, seconds=self.seconds[chosen], positions=self.positions[chosen])
 
     def bounce(self, unknowns: Array) -> Bounce:
-        """The ball of these unknowns, shape (8,)."""
+        """The ball of these unknowns, shape (16,)."""
         ball = Bounce(float(unknowns[RESTITUTION]), float(unknowns[SLOPE]), float(unknowns[DRAG]))
         unit_m_s = GRAVITY_M_S2 * float(np.exp(unknowns[FALL])) / 2
         slowest = SLOWEST_M_S / (ball.impact_speed * unit_m_s)
         return Bounce(
-            ball.restitution, ball.slope, ball.drag, constant_below=slowest, flies_in=self.flies_in
+            ball.restitution,
+            ball.slope,
+            ball.drag,
+            constant_below=slowest,
+            flies_in=self.flies_in,
+            contact=float(unknowns[TOUCH] / np.exp(unknowns[FALL])) if self.heard else 0.0,
         )
 
     def residuals(self, unknowns: Array) -> Array:
@@ -158,7 +182,7 @@ class BounceSamples:
             SPAN: grow * heights / depth,
             PERSPECTIVE: per_height * heights * (1 - heights),
         }
-        for index in {RESTITUTION, SLOPE, DRAG}.intersection(free):
+        for index in {RESTITUTION, SLOPE, DRAG, TOUCH}.intersection(free):
             moved = unknowns.copy()
             moved[index] += _SHORT if unknowns[index] < HIGH[index] - _SHORT else -_SHORT
             rise = self.bounce(moved).heights(times) - heights
@@ -170,14 +194,51 @@ class BounceSamples:
         if self.bends_s:
             unit = BEND_SD * unknowns[SPAN] / np.exp(unknowns[FALL])
             columns |= dict(enumerate((unit * self._since()).T, start=_KNOWN))
+        if OFFSET in free:
+            columns[OFFSET] = np.zeros(len(times))
         return np.column_stack([columns[index] for index in free])
 
     def times(self, unknowns: Array) -> Array:
         """Of the samples [fall times after the first impact], shape (T,)."""
         return (self.seconds - unknowns[IMPACT]) / np.exp(unknowns[FALL])
 
+    def touches_s(self, unknowns: Array, numbers: NDArray[np.intp]) -> Array:
+        """When impacts begin, by their numbers from 0 [s], shape (N,)."""
+        ball, fall_s = self.bounce(unknowns), float(np.exp(unknowns[FALL]))
+        last = max(float(self.seconds[-1] - unknowns[IMPACT]) / fall_s, 0.0)
+        starts, _ = ball.flights(_FARTHER * last + 1)
+        which = np.minimum(numbers, len(starts) - 1)
+        return unknowns[IMPACT] + fall_s * (starts[which] - ball.contact)
+
     def priors(self, unknowns: Array) -> list[Prior]:
-        """What is likely before the samples are looked at."""
+        """What is likely before the samples are looked at, and what was heard."""
+        likely = self._likely(unknowns)
+        return likely if self.heard is None else [*likely, *self._heard(self.heard, unknowns)]
+
+    def _heard(self, heard: HeardTouches, unknowns: Array) -> list[Prior]:
+        """Of the times at which impacts are heard, and of what they are late by."""
+        times_s = self.touches_s(unknowns, heard.numbers)
+        slopes: dict[int, Array] = {}
+        for index in (RESTITUTION, SLOPE, DRAG):
+            moved = unknowns.copy()
+            moved[index] += _SHORT if unknowns[index] < HIGH[index] - _SHORT else -_SHORT
+            later_s = self.touches_s(moved, heard.numbers) - times_s
+            slopes[index] = later_s / (moved[index] - unknowns[index])
+        slopes[TOUCH] = heard.numbers.astype(np.float64)
+        slopes[FALL] = times_s - unknowns[IMPACT] - slopes[TOUCH] * unknowns[TOUCH]
+        slopes[IMPACT] = slopes[OFFSET] = np.ones(len(times_s))
+        off_s = times_s + unknowns[OFFSET] - heard.times_s
+        found = [
+            Prior({OFFSET: 1.0}, float(unknowns[OFFSET]), OFFSET_SD_S),
+            Prior({TOUCH: 1.0}, float(unknowns[TOUCH]) - TOUCH_S, TOUCH_SD_S),
+        ]
+        for at, sd_s in enumerate(heard.sds_s.tolist()):
+            row = {index: float(each[at]) for index, each in slopes.items()}
+            found.append(Prior(row, float(off_s[at]), sd_s, HEARD_FREEDOM, measured=True))
+        return found
+
+    def _likely(self, unknowns: Array) -> list[Prior]:
+        """What is known of balls, cameras and metres."""
         height_m = GRAVITY_M_S2 * float(np.exp(2 * unknowns[FALL])) / 2
         usual, sd_1_m = 0.0, DRAG_SD_1_M
         if self.drag_1_m is not None:
@@ -196,36 +257,3 @@ class BounceSamples:
             for bend in range(len(self.bends_s))
         ]
         return [*found, Prior({PERSPECTIVE: 1.0}, float(unknowns[PERSPECTIVE]), PERSPECTIVE_SD)]
-
-
-@dataclass(frozen=True)
-class Prior:
-    """How far one combination of the unknowns is from what is likely.
-
-    Attributes:
-        slopes: of the combination over the unknowns in it, by index.
-        off: from the likeliest.
-        sd: standard deviation.
-        freedom: of Student's t; infinite for a normal distribution.
-    """
-
-    slopes: dict[int, float]
-    off: float
-    sd: float
-    freedom: float = np.inf
-
-    @property
-    def cost(self) -> float:
-        """Minus the logarithm of its density, without constants."""
-        square = (self.off / self.sd) ** 2
-        if np.isinf(self.freedom):
-            return 0.5 * square
-        return 0.5 * (self.freedom + 1) * float(np.log1p(square / self.freedom))
-
-    @property
-    def weight(self) -> float:
-        """Of its square, where t is fitted by reweighting."""
-        if np.isinf(self.freedom):
-            return self.sd**-2
-        square = (self.off / self.sd) ** 2
-        return (self.freedom + 1) / (self.freedom + square) / self.sd**2

@@ -16,7 +16,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from analysis.drop.bounce_fit import BounceFit, fit_bounce
-from analysis.drop.bounce_model import DRAG, FALL, FREEDOM, KNOWN_DRAG, RESTITUTION, SLOPE
+from analysis.drop.bounce_model import (
+    DRAG,
+    FALL,
+    FREEDOM,
+    KNOWN_DRAG,
+    RESTITUTION,
+    SLOPE,
+    TOUCH,
+)
+from analysis.drop.contact_bound import ContactBound
+from analysis.drop.times.impact_prior import NO_DRAG, NO_SLOPE
 from analysis.statistics import TWO_SIDED, correlation_time, mixture_quantile
 from recorders.simulators.base import GRAVITY_M_S2
 from tunenet_logs.arrays import Array
@@ -88,8 +98,8 @@ def ball_posterior(fit: BounceFit) -> BallPosterior:
     grid = _Grid.of(likelihood, fit, height_m)
     restitution = likelihood.restitution(grid.slopes, grid.drags * height_m)
     least = _LEAST_SD if fit.samples.in_metres else _LEAST_SD_IN_PICTURE
-    sd = float(np.hypot(likelihood.restitution_sd, least))
     weights = grid.weights
+    sd = float(np.hypot(likelihood.sd_of_all(grid.slopes, grid.drags * height_m, weights), least))
     means = [float(weights @ one) for one in (restitution, grid.slopes, grid.drags)]
     axes = (
         (restitution, sd, weights),
@@ -125,6 +135,7 @@ class _Likelihood:
         value: the restitution there.
         moves: of the restitution, for each of the two, shape (2,).
         restitution_sd: where the two are known.
+        bound: on the contact's duration, where impacts were heard.
     """
 
     middle: Array
@@ -132,6 +143,7 @@ class _Likelihood:
     value: float
     moves: Array
     restitution_sd: float
+    bound: ContactBound | None = None
 
     @classmethod
     def of(cls, fit: BounceFit, factor: float) -> _Likelihood:
@@ -143,7 +155,7 @@ class _Likelihood:
         normal = jacobian.T @ (weights[:, None] * jacobian)
         gradient = -jacobian.T @ (weights * fit.residuals)
         for prior in samples.priors(fit.unknowns):
-            if {SLOPE, DRAG}.isdisjoint(prior.slopes):
+            if prior.measured or {SLOPE, DRAG}.isdisjoint(prior.slopes):
                 row = np.array([prior.slopes.get(index, 0.0) for index in fit.free])
                 normal += prior.weight * np.outer(row, row)
                 gradient -= prior.weight * prior.off * row
@@ -162,13 +174,21 @@ class _Likelihood:
         first = int(np.flatnonzero(others == fit.free.index(RESTITUTION))[0])
         moves = -(inverse @ across)[first]
         value = float(fit.unknowns[RESTITUTION] + (inverse @ gradient[others])[first])
-        return cls(
+        found = cls(
             here + step,
             precision,
             value + float(moves @ step),
             moves,
             float(np.sqrt(inverse[first, first])),
         )
+        if samples.heard is None:
+            return found
+        lasts = int(np.flatnonzero(others == fit.free.index(TOUCH))[0])
+        lasts_s = float(fit.unknowns[TOUCH] + (inverse @ gradient[others])[lasts])
+        lasts_moves, sd_s = -(inverse @ across)[lasts], float(np.sqrt(inverse[lasts, lasts]))
+        lasts_s += float(lasts_moves @ step)
+        bound = ContactBound(lasts_s, lasts_moves, sd_s, float(inverse[first, lasts]) / sd_s)
+        return replace(found, bound=bound)
 
     @property
     def sds(self) -> Array:
@@ -184,11 +204,22 @@ class _Likelihood:
     def log_density(self, slopes: Array, drags: Array) -> Array:
         """Without a constant, shape (M,), of slopes and drags times drop height."""
         off = np.column_stack([slopes, drags]) - self.middle
-        return -0.5 * np.einsum("mi,ij,mj->m", off, self.precision, off)
+        log = -0.5 * np.einsum("mi,ij,mj->m", off, self.precision, off)
+        return log if self.bound is None else log + self.bound.log_likelihood(off)
 
     def restitution(self, slopes: Array, drags: Array) -> Array:
         """The likeliest restitution for each, shape (M,)."""
-        return self.value + (np.column_stack([slopes, drags]) - self.middle) @ self.moves
+        off = np.column_stack([slopes, drags]) - self.middle
+        found = self.value + off @ self.moves
+        return found if self.bound is None else found + self.bound.restitution_moved(off)
+
+    def sd_of_all(self, slopes: Array, drags: Array, weights: Array) -> float:
+        """Of the restitution where slope and drag are known, over all that they may be."""
+        if self.bound is None:
+            return self.restitution_sd
+        off = np.column_stack([slopes, drags]) - self.middle
+        taken = float(weights @ self.bound.variance_taken(off))
+        return float(np.sqrt(max(self.restitution_sd**2 - taken, 0.0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,16 +246,19 @@ class _Grid:
         middle, sds = likelihood.middle, likelihood.sds
         slopes, slope_step = _nodes(float(middle[0]), float(sds[0]), -0.05, 0.45)
         drags, drag_step = _nodes(float(middle[1]) / height_m, float(sds[1]) / height_m, 0.0, 1.0)
-        slope_prior = _slope_density(slopes) * slope_step * (1 - _NO_SLOPE)
+        is_heard = fit.samples.heard is not None
+        no_slope = NO_SLOPE if is_heard else _NO_SLOPE
+        slope_prior = _slope_density(slopes) * slope_step * (1 - no_slope)
         known = fit.samples.drag_1_m
         if known is None:
             none = _NO_DRAG if fit.samples.in_metres else _NO_DRAG_IN_PICTURE
+            none = NO_DRAG if is_heard else none
             drag_prior = _drag_density(drags) * drag_step * (1 - none)
             drags, drag_prior = np.append(drags, 0.0), np.append(drag_prior, none)
         else:
             drags, drag_step = _nodes(known, KNOWN_DRAG * known, 0.0, 2 * known)
             drag_prior = np.exp(-0.5 * ((drags - known) / (KNOWN_DRAG * known)) ** 2)
-        slopes, slope_prior = np.append(slopes, 0.0), np.append(slope_prior, _NO_SLOPE)
+        slopes, slope_prior = np.append(slopes, 0.0), np.append(slope_prior, no_slope)
         both = np.meshgrid(slopes, drags, indexing="ij")
         flat_slopes, flat_drags = (one.ravel() for one in both)
         prior = np.outer(slope_prior, drag_prior).ravel()
@@ -272,8 +306,10 @@ def _prior_widths(fit: BounceFit) -> Array:
 def _profile_factors(fit: BounceFit, factor: float, least: float) -> Array:
     """How much farther than a normal likelihood has them the restitution's ends are, shape (2,).
 
-    All else is fitted anew where the normal likelihood ends.
+    All else is fitted anew where the normal likelihood ends, but a contact's duration, which is
+    bounded.
     """
+    fit = replace(fit, free=tuple(index for index in fit.free if index != TOUCH))
     normal, _ = fit.normal_equations()
     normal[0, 0] += _ANY_RESTITUTION_SD**-2
     variance = float(np.linalg.pinv(normal)[0, 0]) * factor

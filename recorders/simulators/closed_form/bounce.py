@@ -40,6 +40,7 @@ class Bounce:
             changes with speed: a power law has no bound.
         flies_in: whether the ball flies before the top of the fall, too: it was thrown, or bounced
             before. Else it is held there.
+        contact: for how long each impact keeps it on the table [sqrt(2 H / g)].
     """
 
     restitution: float
@@ -48,6 +49,7 @@ class Bounce:
     each: tuple[float, ...] = ()
     constant_below: float = 0.0
     flies_in: bool = False
+    contact: float = 0.0
 
     def heights(self, places: Array) -> Array:
         """Heights u over contact.
@@ -63,7 +65,7 @@ class Bounce:
         falls = places < 0.0
         flies = ~falls
         flown = places[flies]
-        flight = np.searchsorted(starts, flown, side="right") - 1
+        flight = np.maximum(np.searchsorted(starts, flown, side="right") - 1, 0)
         after = flown - starts[flight]
         heights = np.empty_like(places)
         if self.drag < _NO_DRAG:
@@ -97,14 +99,14 @@ class Bounce:
             last: time s [sqrt(2 H / g)].
 
         Returns:
-            Times of their starts, the first 0, and speeds there [drop heights, sqrt(2 H / g)], each
-            of shape (N,).
+            Times of their starts, the first 0 (or when the first contact ends), and speeds there
+            [drop heights, sqrt(2 H / g)], each of shape (N,).
         """
         first, each, given = self.impact_speed, self.each, len(self.each)
         usual, power, has_drag = self.restitution, -self.slope, self.drag >= _NO_DRAG
         per_speed, twice_rate = math.sqrt(self.drag / 2.0), math.sqrt(2.0 * self.drag)
         slowest = self.constant_below
-        start, speed = 0.0, (each[0] if each else min(usual, 1.0)) * first
+        start, speed = self.contact, (each[0] if each else min(usual, 1.0)) * first
         starts, speeds, count = [start], [speed], 1
         while start <= last and count < _MOST_FLIGHTS and speed > _SLOWEST:
             lasted = impact = speed
@@ -118,7 +120,7 @@ class Bounce:
                 ratio = impact / first
                 kept = usual * (ratio if ratio > slowest else slowest) ** power
                 kept = kept if kept < 1.0 else 1.0
-            start += lasted
+            start += lasted + self.contact
             speed = kept * impact
             starts.append(start)
             speeds.append(speed)
