@@ -30,6 +30,7 @@ class Summary:
         gaps: in which that was away.
         lag_s: the longest between a picture's time and its writing, where that is worth a word.
         stamps: whose time they are, where that had to be found.
+        sound: what was recorded beside them, in words.
     """
 
     captured: int
@@ -41,6 +42,7 @@ class Summary:
     gaps: tuple[Gap, ...] = ()
     lag_s: float = 0.0
     stamps: str = ""
+    sound: str = ""
 
     def in_words(self, unit: str) -> str:
         """For the last line that a recorder prints."""
@@ -49,6 +51,8 @@ class Summary:
             words += f", {self.damaged} damaged"
         if self.rate_hz:
             words += f", {self.rate_hz:.1f} Hz"
+        if self.sound:
+            words += f", {self.sound}"
         if self.gaps:
             all_s = sum(gap.seconds for gap in self.gaps)
             words += ", 1 gap of" if len(self.gaps) == 1 else f", {len(self.gaps)} gaps of together"

@@ -27,7 +27,7 @@ class Health:
 
 
 def check(path: Path, progress: Progress, options: ReadOptions = AS_IT_SAYS) -> Health:
-    """Read all of a log, and decode all of its pictures.
+    """Read all of a log, and decode all of its pictures and its sound.
 
     Raises:
         LogError: nothing of it can be read.
@@ -36,9 +36,18 @@ def check(path: Path, progress: Progress, options: ReadOptions = AS_IT_SAYS) -> 
     damage = list(episode.losses)
     for topic in episode.picture_topics:
         damage += _picture_damage(episode, topic, progress)
+    heard: list[str] = []
+    for topic in episode.sound_topics:
+        heard += [f"{topic}: {said}" for said in _heard(episode, topic)]
     lost = set(episode.losses)
     doubts = tuple(warning for warning in episode.warnings if warning not in lost)
-    return Health(episode, tuple(damage), doubts)
+    return Health(episode, tuple(damage), (*doubts, *heard))
+
+
+def _heard(episode: Episode, topic: str) -> tuple[str, ...]:
+    """What is doubtful of the sound of a topic."""
+    sound = episode.sounds(topic)
+    return () if sound is None else sound.warnings
 
 
 def _picture_damage(episode: Episode, topic: str, progress: Progress) -> list[str]:

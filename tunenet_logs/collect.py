@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tunenet_logs.clock_jumps import filmed_part
 from tunenet_logs.episode import Signal
 from tunenet_logs.formats.base import BeyondLimitError
-from tunenet_logs.formats.message_types import JointSample, PictureSample
+from tunenet_logs.formats.message_types import JointSample, PictureSample, SoundSample
 from tunenet_logs.sample_order import (
     jumps_alone,
     sorted_stamps,
@@ -153,6 +153,36 @@ class PictureStamps:
             is_header, reasons = False, [reason]
         used_ns = np.where(header_ns == 0, log_ns, header_ns) if is_header else log_ns
         reasons += filmed_part(used_ns).words
+        return is_header, [f"{self.topic}: {reason}" for reason in reasons]
+
+
+@dataclass(eq=False)
+class SoundStamps:
+    """When the pieces of one topic's sound were taken; they are read when asked for.
+
+    Attributes:
+        topic: the topic.
+    """
+
+    topic: str
+    _header_ns: array[int] = field(default_factory=lambda: array("q"), init=False)
+    _log_ns: array[int] = field(default_factory=lambda: array("q"), init=False)
+
+    def add(self, log_ns: int, sound: SoundSample) -> None:
+        """One piece.
+
+        Raises:
+            OverflowError: its stamp lies beyond the year 2262.
+        """
+        self._header_ns.append(sound.stamp_ns)
+        self._log_ns.append(log_ns)
+
+    def trusts_header(self) -> tuple[bool, list[str]]:
+        """Whether the pieces' own stamps tell the time, and why not."""
+        header_ns, log_ns = (np.array(own, np.int64) for own in (self._header_ns, self._log_ns))
+        is_header, reasons = trusts_header(header_ns)
+        if is_header and (reason := jumps_alone(header_ns, log_ns)):
+            is_header, reasons = False, [reason]
         return is_header, [f"{self.topic}: {reason}" for reason in reasons]
 
 

@@ -6,6 +6,7 @@ import heapq
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,8 @@ from tunenet_logs.jpeg import compressed
 from tunenet_logs.measured import measured
 from tunenet_logs.position_rows import ORIENTATION
 from tunenet_logs.reader import read_episode
+from tunenet_logs.sound import Sound
+from tunenet_logs.sound_notes import sound_blocks, sound_notes_of
 from tunenet_logs.terminal import Progress
 from tunenet_logs.writer import EpisodeWriter
 
@@ -63,7 +66,7 @@ def import_log(
     progress: Progress | None = None,
     options: ReadOptions = AS_IT_SAYS,
 ) -> Imported:
-    """Write positions, joints and pictures of a log to `output`, in the order of their stamps.
+    """Write positions, joints, pictures and sound of a log to `output`, ordered by their stamps.
 
     Pictures that are compressed stay as they are; bare pixels of a video become JPEG. Whatever
     breaks it off, nothing of it is left.
@@ -77,9 +80,18 @@ def import_log(
     if output.exists() and path.exists() and output.samefile(path):
         raise UsageError(f"{output}: is the log itself, which is never changed; choose another -o")
     episode = measured(read_episode(path, options))  # a command would become a state
-    topics = _Topics({*episode.signals, *episode.picture_topics, *joint_topics(episode)})
+    named = {*episode.signals, *episode.picture_topics, *episode.sound_topics}
+    topics = _Topics({*named, *joint_topics(episode)})
     said = notes_of_frames(episode)
-    streams = [*_signal_streams(episode, topics, said), *_picture_streams(episode, topics)]
+    sounds = [episode.sounds(topic) for topic in dict.fromkeys(episode.sound_topics)]
+    heard = [sound for sound in sounds if sound is not None]
+    for sound in heard:
+        said |= sound_notes_of(sound)
+    streams = [
+        *_signal_streams(episode, topics, said),
+        *_picture_streams(episode, topics),
+        *(_blocks(sound, topics.claim(sound.name)) for sound in heard),
+    ]
     if not streams:
         raise LogError(_why_nothing(path, episode), _NAME_ANOTHER)
     notes = {**episode.info.notes, **said, "imported_from": path.name}
@@ -146,7 +158,7 @@ def _why_nothing(path: Path, episode: Episode) -> str:
     has_reason = any(channel.skipped for channel in episode.channels)
     said = "; ".join((episode.losses or (() if has_reason else episode.warnings))[:_MOST_REASONS])
     why = f" that can be used ({said})" if said else ""
-    return f"{path}: holds no positions, joints or pictures{why}; channels: {seen}"
+    return f"{path}: holds no positions, joints, pictures or sound{why}; channels: {seen}"
 
 
 def _described(channel: Channel) -> str:
@@ -243,6 +255,15 @@ def _spread(values: np.ndarray, places: list[int], count: int) -> np.ndarray:
     spread = np.full(count, np.nan)
     spread[places] = values
     return spread
+
+
+def _blocks(sound: Sound, topic: str) -> Iterator[tuple[int, str, Write]]:
+    for stamp_ns, pcm in sound_blocks(sound):
+
+        def write(writer: EpisodeWriter, stamp: int = stamp_ns, block: Any = pcm) -> None:
+            writer.write_sound(topic, stamp, block, round(sound.rate_hz))
+
+        yield stamp_ns, topic, write
 
 
 def _picture_streams(

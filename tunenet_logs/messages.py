@@ -26,6 +26,7 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 JOINT_ANGLES = "kinova_msgs/msg/JointAngles"
 TASK_OUTCOME = "tunenet_msgs/msg/TaskOutcome"
 COMPRESSED_VIDEO = "foxglove_msgs/msg/CompressedVideo"
+RAW_AUDIO = "foxglove_msgs/msg/RawAudio"
 
 SEVEN_JOINTS = "\n".join(f"float32 joint{number}" for number in range(1, 8))
 """How Kinova defines JointAngles, JointTorque and JointVelocity."""
@@ -54,6 +55,15 @@ string format
 """
 """How Foxglove defines CompressedVideo: one picture of a video as it was compressed."""
 
+AUDIO_FIELDS = """\
+builtin_interfaces/Time timestamp
+uint8[] data
+string format
+uint32 sample_rate
+uint32 number_of_channels
+"""
+"""How Foxglove defines RawAudio: a block of samples, interleaved and little-endian."""
+
 VIDEO_FORMATS = frozenset({"h264", "h265", "vp9", "av1"})
 """Encodings of frames that are made from those before them; they go into CompressedVideo."""
 
@@ -62,6 +72,9 @@ CAMERA_TOPIC = "/camera/image_raw/compressed"
 
 VIDEO_TOPIC = "/camera/video"
 """Where they go that the camera compressed as video."""
+
+AUDIO_TOPIC = "/audio"
+"""Where sound goes, and what that of a file goes by."""
 
 OUTCOME_TOPIC = "/task/outcome"
 """Where what the hardware did goes."""
@@ -77,6 +90,7 @@ def typestore() -> Typestore:
     store.register(get_types_from_msg(SEVEN_JOINTS, JOINT_ANGLES))
     store.register(get_types_from_msg(OUTCOME_FIELDS, TASK_OUTCOME))
     store.register(get_types_from_msg(VIDEO_FIELDS, COMPRESSED_VIDEO))
+    store.register(get_types_from_msg(AUDIO_FIELDS, RAW_AUDIO))
     return store
 
 
@@ -134,6 +148,17 @@ def compressed_video(stamp_ns: int, frame_id: str, encoding: str, data: bytes) -
         frame_id=frame_id,
         data=np.frombuffer(data, np.uint8),
         format=encoding,
+    )
+
+
+def raw_audio(stamp_ns: int, pcm: NDArray[np.int16], rate_hz: int) -> Any:
+    """A RawAudio of `pcm`, shape (N, channels), whose first sample was taken at `stamp_ns`."""
+    return _type(RAW_AUDIO)(
+        timestamp=_time(stamp_ns),
+        data=np.frombuffer(pcm.astype("<i2").tobytes(), np.uint8),
+        format="pcm-s16",
+        sample_rate=rate_hz,
+        number_of_channels=pcm.shape[1],
     )
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from tunenet_logs.collect import JointRows, PictureStamps
+from tunenet_logs.collect import JointRows, PictureStamps, SoundStamps
 from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame
 from tunenet_logs.errors import CHECK_DISK, COPY_AGAIN, LogError
 from tunenet_logs.formats import registry
@@ -21,12 +21,15 @@ from tunenet_logs.formats.base import (
 )
 from tunenet_logs.formats.pictures import frames_of
 from tunenet_logs.formats.read_options import AS_IT_SAYS, ReadOptions
+from tunenet_logs.formats.sounds import sound_of
 from tunenet_logs.images import FREE_VIDEO_PIXELS, VIDEO_PIXELS_A_BYTE
 from tunenet_logs.import_notes import restored
 from tunenet_logs.late_stamps import BY_ARRIVALS, STAMPS_NOTE
 from tunenet_logs.messages import INFO_RECORD
 from tunenet_logs.one_clock import jump_warnings
 from tunenet_logs.position_rows import PositionRows
+from tunenet_logs.sound import Sound
+from tunenet_logs.sound_notes import noted_rates
 from tunenet_logs.topic_contents import DriveRows, ReadingPlan, TopicContents
 from tunenet_logs.unused_reading import unused_of_messages, unused_reading
 
@@ -36,12 +39,12 @@ _FREE_PIXELS = 50_000_000
 _PIXELS_A_BYTE = 500
 """Of a log, beyond those: a camera's pictures have 20, rendered ones without noise 300."""
 
-_FEW_PICTURE_TOPICS = 8
-"""Cameras of a log whose pictures are read, however many other messages it has."""
+_FEW_TOPICS = 8
+"""Cameras of a log whose pictures are read, however many other messages it has; and microphones."""
 
 _FREE_MESSAGES, _BYTES_A_MESSAGE = 5_000_000, 50
-"""That all picture topics together may pass: each is read by a pass over the file. Those of any
-log, and its bytes for each beyond."""
+"""That all topics of pictures, or of sound, may pass together: each is read by a pass over the
+file. Those of any log, and its bytes for each beyond."""
 
 _MOST_LOSSES = 5
 """Places of damage that are named one by one among the warnings; the rest is counted."""
@@ -114,7 +117,7 @@ def _episode(
     signals, repairs = plan.named_signals()
     notes += repairs
     seconds: set[TopicContents] = set()  # whose names were taken already
-    by_log: set[str] = set()  # topics of pictures whose header stamps do not tell the time
+    by_log: set[str] = set()  # topics of pictures or sound whose header stamps tell no time
     # What is known by its shape alone comes behind what is known by its type, commands behind all.
     for topic in sorted(topics, key=lambda one: (one.drives, one.is_by_shape)):
         name, rows = topic.channel.topic, topic.rows
@@ -123,7 +126,7 @@ def _episode(
             damaged.append(f"{name}: {topic.damaged} damaged messages were left out{topic.first}")
         if topic.refused and topic.used:  # where none is used, the channel's summary says why
             refused.append(f"{name}: {topic.refused} messages were left out{topic.first}")
-        if isinstance(rows, PictureStamps):
+        if isinstance(rows, PictureStamps | SoundStamps):
             is_header, reasons = rows.trusts_header()
             doubts += reasons
             if not is_header or info.notes.get(STAMPS_NOTE, "").startswith(BY_ARRIVALS):
@@ -139,9 +142,14 @@ def _episode(
             notes += repairs
             signals |= {signal.name: signal for signal in found}
     lost = [loss for loss in losses if not loss.harmless]
-    channels, more = _few_cameras(
-        path, [topic.summary(is_second=topic in seconds) for topic in topics]
-    )
+    found = [topic.summary(is_second=topic in seconds) for topic in topics]
+    passed = max(1, sum(one.messages for one in found))
+    free = (_FREE_MESSAGES + registry.file_bytes(path) // _BYTES_A_MESSAGE) // passed
+    cameras = [one for one in found if one.pictures and one.skipped is None]
+    microphones = [one for one in found if one.sounds and one.skipped is None]
+    channels, more = _few(found, cameras, max(_FEW_TOPICS, free), "pictures")
+    doubts += more
+    channels, more = _few(channels, microphones, max(_FEW_TOPICS, free), "sound")
     doubts += more
     words = [str(loss) for loss in losses if loss.harmless]
     words += [str(loss) for loss in lost[:_MOST_LOSSES]]
@@ -156,21 +164,20 @@ def _episode(
         losses=(*map(str, lost), *damaged),
         tainted=next((str(loss) for loss in losses if loss.taints), ""),
         open_frames=partial(_frames, path, container, by_log, _most_pixels(path, topics)),
+        open_sound=partial(_sound, path, container, by_log, info.notes),
     )
 
 
-def _few_cameras(path: Path, channels: list[Channel]) -> tuple[tuple[Channel, ...], list[str]]:
-    """The channels, pictures of the first cameras alone where there are too many; and a warning."""
-    cameras = [one for one in channels if one.pictures and one.skipped is None]
-    passed = max(1, sum(one.messages for one in channels))
-    free = (_FREE_MESSAGES + registry.file_bytes(path) // _BYTES_A_MESSAGE) // passed
-    most = max(_FEW_PICTURE_TOPICS, free)
-    if len(cameras) <= most:
+def _few(
+    channels: Sequence[Channel], those: Sequence[Channel], most: int, what: str
+) -> tuple[tuple[Channel, ...], list[str]]:
+    """The channels, the first `most` of `those` alone where there are more; and a warning."""
+    if len(those) <= most:
         return tuple(channels), []
-    why = f"the log has over {most} channels of pictures"
-    left = {id(one) for one in cameras[most:]}
+    why = f"the log has over {most} channels of {what}"
+    left = {id(one) for one in those[most:]}
     some = [replace(one, skipped=why) if id(one) in left else one for one in channels]
-    return tuple(some), [f"the pictures of {len(left)} channels were left out: {why}"]
+    return tuple(some), [f"the {what} of {len(left)} channels were left out: {why}"]
 
 
 def _most_pixels(path: Path, topics: Sequence[TopicContents]) -> dict[str, int]:
@@ -185,6 +192,28 @@ def _most_pixels(path: Path, topics: Sequence[TopicContents]) -> dict[str, int]:
         share = (video if topic.is_video else stills) * topic.used // used
         most[topic.channel.topic] = most.get(topic.channel.topic, 0) + share
     return most
+
+
+def _sound(
+    path: Path, container: Container, by_log: Set[str], notes: Mapping[str, str], topic: str
+) -> Sound:
+    """The sound of one topic, read afresh from the file.
+
+    Args:
+        path: the log.
+        container: how it is read.
+        by_log: topics whose header stamps do not tell the time.
+        notes: of the log.
+        topic: the channel's.
+    """
+    exact_hz, file_hz = noted_rates(notes)
+    return sound_of(
+        container(path, [], (topic,)),
+        topic,
+        trusts_header=topic not in by_log,
+        exact_hz=exact_hz,
+        file_hz=file_hz,
+    )
 
 
 def _frames(

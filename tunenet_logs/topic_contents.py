@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from tunenet_logs.by_hand import HandPicked
-from tunenet_logs.collect import JointRows, PictureStamps
+from tunenet_logs.collect import JointRows, PictureStamps, SoundStamps
 from tunenet_logs.drive_rows import NumberRows, WrenchRows
 from tunenet_logs.episode import Channel, Signal
 from tunenet_logs.formats import registry
@@ -34,12 +34,14 @@ from tunenet_logs.formats.message_types import (
     PictureType,
     PlanType,
     PositionType,
+    SoundType,
     message_type_of,
     type_key,
 )
 from tunenet_logs.formats.pictures import checked_pictures
 from tunenet_logs.formats.read_options import ReadOptions
 from tunenet_logs.formats.shape_messages import UNUSED, ShapeMessages, shape_messages
+from tunenet_logs.formats.sounds import checked_sound
 from tunenet_logs.hand_rows import HandRows
 from tunenet_logs.messages import TASK_OUTCOME
 from tunenet_logs.planned_rows import PlannedRows, PointBudget
@@ -50,6 +52,9 @@ _LAST_NS = 2**63 - 1
 
 DriveRows = PlannedRows | NumberRows | WrenchRows
 """What gathers commands and forces."""
+
+_Rows = PositionRows | JointRows | PictureStamps | SoundStamps | DriveRows | HandRows
+"""What gathers messages."""
 
 
 class ReadingPlan:
@@ -116,7 +121,7 @@ class TopicContents:
 
     def __init__(self, channel: RawChannel, plan: ReadingPlan) -> None:
         self.channel = channel
-        self.rows: PositionRows | JointRows | PictureStamps | DriveRows | HandRows | None = None
+        self.rows: _Rows | None = None
         self.damaged = 0
         self.refused = 0
         self._log_ns = array("q")
@@ -127,7 +132,7 @@ class TopicContents:
         self._decode: Decode | None = None
         self._shape: ShapeMessages | None = None
         try:
-            if not plan.picks or isinstance(self._type, PictureType):
+            if not plan.picks or isinstance(self._type, PictureType | SoundType):
                 self._read_by_type(plan)
             else:
                 self._read_by_hand(plan)
@@ -160,11 +165,15 @@ class TopicContents:
         elif isinstance(kind, DriveType):
             self.rows = plan.drive_rows(channel.topic, kind)
             self._decode = _bounded(self._decode, self.rows.check)
+        elif isinstance(kind, SoundType):
+            self.rows = SoundStamps(channel.topic)
         else:
             self.rows = PictureStamps(channel.topic, kind.is_video)
         self._read: Callable[[Any], Any] = kind.read
         if isinstance(kind, PictureType):
             self._read = checked_pictures(kind)
+        elif isinstance(kind, SoundType):
+            self._read = checked_sound(kind)
         self._add: Callable[[int, Any], None] = self.rows.add
 
     def _read_by_hand(self, plan: ReadingPlan) -> None:
@@ -254,6 +263,7 @@ class TopicContents:
             skipped=skipped,
             pictures=isinstance(self._type, PictureType),
             drives=self.drives,
+            sounds=isinstance(self._type, SoundType),
         )
 
 

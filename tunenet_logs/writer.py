@@ -103,6 +103,18 @@ class EpisodeWriter:
         type_name, data = messages.frame(frame)
         self.write_message(topic, type_name, frame.stamp_ns, data, received_ns)
 
+    def write_sound(
+        self,
+        topic: str,
+        stamp_ns: int,
+        pcm: NDArray[np.int16],
+        rate_hz: int,
+        received_ns: int | None = None,
+    ) -> None:
+        """Write a RawAudio of samples, shape (N, channels), the first taken at `stamp_ns`."""
+        data = messages.encode(messages.raw_audio(stamp_ns, pcm, rate_hz), messages.RAW_AUDIO)
+        self.write_message(topic, messages.RAW_AUDIO, stamp_ns, data, received_ns)
+
     def write_joints(
         self,
         topic: str,

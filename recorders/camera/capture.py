@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from recorders.camera.base import Source
 from recorders.camera.even_stamps import stamp_evenly
 from recorders.camera.reading_thread import ReadingThread
+from recorders.camera.sound_blocks import SoundBlocks
+from recorders.camera.video_file import VideoFile
 from recorders.camera.writing_loop import WORTH_A_WORD_S, WritingLoop
 from recorders.session import Summary, stop_flag
 from tunenet_logs.episode import EpisodeInfo
@@ -18,6 +21,7 @@ from tunenet_logs.errors import CameraError, LogError
 from tunenet_logs.late_stamps import STAMPS_NOTE
 from tunenet_logs.measured_rate import FASTEST_CAMERA_HZ, FASTEST_HZ, measured_hz
 from tunenet_logs.messages import CAMERA_TOPIC
+from tunenet_logs.sound_notes import sound_notes_of
 from tunenet_logs.terminal import Progress
 from tunenet_logs.writer import EpisodeWriter
 
@@ -79,8 +83,13 @@ def record_camera(
         progress.bar(None, "recording", "frame") as bar,
     ):
         reader = ReadingThread(source, limits.queue_bytes, counts=preview is None)
-        writer.tally = reader.tally
-        loop = WritingLoop(reader, writer, limits, bar, preview)
+        sound = source.sound() if isinstance(source, VideoFile) else None
+        blocks = None if sound is None or not len(sound.samples) else SoundBlocks(sound)
+        if blocks is not None and sound is not None:
+            for name, text in sound_notes_of(sound).items():
+                writer.note(name, text)
+        writer.tally = partial(_tally, reader, blocks)
+        loop = WritingLoop(reader, writer, limits, bar, preview, blocks)
         reader.start()
         try:
             ended = loop.run(stop)
@@ -103,14 +112,15 @@ def record_camera(
             writer.note("ball_at_px", f"{preview.click.x_px:.1f},{preview.click.y_px:.1f}")
             writer.note("ball_at_stamp_ns", str(preview.click.stamp_ns))
         writer.close(ended)
+        heard = blocks.written if blocks else 0
         stamps = _stamped(path, writer.info.notes, limits) if source.live else ""
     if reader.error is not None:
         raise CameraError(
-            f"{reader.error}; the {writer.written} frames before that are kept in {path}"
+            f"{reader.error}; the {writer.written - heard} frames before that are kept in {path}"
         ) from reader.error
     return Summary(
         reader.captured,
-        writer.written,
+        writer.written - heard,
         reader.dropped,
         ended,
         source.damaged,
@@ -118,7 +128,15 @@ def record_camera(
         lag_s=lag_s,
         gaps=tuple(loop.gaps),
         stamps=stamps,
+        sound=blocks.in_words() if blocks else "",
     )
+
+
+def _tally(reader: ReadingThread, sound: SoundBlocks | None) -> dict[str, int]:
+    """What came: pictures, and blocks of sound beside them."""
+    counts = reader.tally()
+    counts["captured"] += sound.written if sound else 0
+    return counts
 
 
 def _stamped(path: Path, notes: Mapping[str, str], limits: Limits) -> str:

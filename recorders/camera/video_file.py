@@ -9,6 +9,7 @@ from recorders.camera.base import Shot
 from tunenet_logs.errors import CameraError
 from tunenet_logs.formats.video import open_video, video_notes
 from tunenet_logs.jpeg import compressed
+from tunenet_logs.sound import Sound
 
 
 class VideoFile:
@@ -60,6 +61,10 @@ class VideoFile:
             if self._closed:
                 return
             yield Shot(compressed(frame))
+
+    def sound(self) -> Sound | None:
+        """Of its sound track, on the clock of its pictures; None where there is none."""
+        return self._video.sound.sound() if self._video.sound else None
 
     def close(self) -> None:
         """End running `frames`; nothing is held open otherwise."""

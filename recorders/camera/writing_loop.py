@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from recorders.camera.camera_time import CameraTime, Timed
 from recorders.camera.reading_thread import ReadingThread
+from recorders.camera.sound_blocks import SoundBlocks
 from tunenet_logs.clock import now_ns
 from tunenet_logs.errors import LogError
 from tunenet_logs.gaps import Gap, gap_note
@@ -22,6 +23,9 @@ _SILENT_NS, _SILENT_STEPS = 1_000_000_000, 5
 
 _MOST_GAPS = 1000
 """After which a camera that comes and goes is of no use."""
+
+_LAST_NS = 2**63 - 1
+"""A stamp behind all others."""
 
 _SPARE_S = 0.5
 """Of silence beyond what is allowed: for a source to end by itself, and to say why."""
@@ -47,6 +51,7 @@ class WritingLoop:
         limits: when it ends by itself.
         bar: moved by each picture.
         preview: what shows the pictures; they are written once "record" was pressed there.
+        sound: written beside them.
 
     Attributes:
         gaps: in what was written so far.
@@ -59,6 +64,7 @@ class WritingLoop:
         limits: Limits,
         bar: Bar,
         preview: Preview | None,
+        sound: SoundBlocks | None = None,
     ) -> None:
         typestore()  # made here, or the first picture would wait for it
         self.clock = CameraTime(is_told=limits.stamps == "camera")
@@ -70,6 +76,8 @@ class WritingLoop:
         self._limits = limits
         self._bar = bar
         self._preview = preview
+        self._sound = sound
+        self._sound_until_ns = _LAST_NS
         self._is_recording = preview is None
         self._first_ns: int | None = None
         self._newest_ns: int | None = None
@@ -97,6 +105,8 @@ class WritingLoop:
             self._writer.tick()
             queue.pause()
         self._pass_on(self.clock.rest())
+        if self._sound is not None and not ended:
+            self._sound.write_until(self._writer, self._sound_until_ns)
         failure = "" if self._reader.error is None else str(self._reader.error)
         return ended or source.ended or failure
 
@@ -121,11 +131,14 @@ class WritingLoop:
         for frame, arrived_ns, begins_anew in pictures:
             if self._is_recording:
                 if self._is_enough(frame.stamp_ns):
+                    self._sound_until_ns = frame.stamp_ns
                     queue.cut(CAMERA_TOPIC, 1 + sum(1 for _ in pictures))
                     return
                 if not writer.accepted:
                     self._note_size(frame.data)
                 self._note_gap(frame.stamp_ns, begins_anew=begins_anew)
+                if self._sound is not None:
+                    self._sound.write_until(writer, frame.stamp_ns)
                 is_video = frame.encoding in VIDEO_FORMATS
                 writer.write_frame(VIDEO_TOPIC if is_video else CAMERA_TOPIC, frame, arrived_ns)
                 self._bar.set_postfix_str(self._in_words(arrived_ns), refresh=False)

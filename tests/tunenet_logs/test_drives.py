@@ -304,7 +304,7 @@ def test_an_import_makes_no_state_of_a_command(tmp_path: Path):
     assert list(read_episode(tmp_path / "b.mcap").signals) == ["/state.position"]
     assert [line.partition(":")[0] for line in done.left_out] == ["/cmd", "/u", "/f"]
     write_cdr(tmp_path / "c.mcap", [("/u", NUMBERS, 0, numbers(1))])
-    with pytest.raises(LogError, match="holds no positions, joints or pictures"):
+    with pytest.raises(LogError, match="holds no positions, joints, pictures or sound"):
         import_log(tmp_path / "c.mcap", tmp_path / "d.mcap")
 
 

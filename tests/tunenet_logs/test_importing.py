@@ -110,7 +110,7 @@ def test_what_is_never_used_is_refused_with_the_reason(tmp_path: Path):
     with pytest.raises(LogError) as caught:
         import_log(path, tmp_path / "b.mcap")
     reason = "(std_msgs/msg/String: its type is not one that a task uses)"
-    assert caught.value.what.endswith(f"joints or pictures; channels: /chat {reason}")
+    assert caught.value.what.endswith(f"joints, pictures or sound; channels: /chat {reason}")
     assert "--columns" in caught.value.remedy
 
 

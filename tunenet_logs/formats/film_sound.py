@@ -10,8 +10,9 @@ from fractions import Fraction
 import numpy as np
 
 from tunenet_logs.episode import Channel
-from tunenet_logs.formats.sound_track import AUDIO_TOPIC, SoundTrack
+from tunenet_logs.formats.sound_track import SoundTrack
 from tunenet_logs.formats.video_clock import VideoClock
+from tunenet_logs.messages import AUDIO_TOPIC
 from tunenet_logs.sound import Sound
 
 _SAME_RATE = 1.05

@@ -61,17 +61,20 @@ class SoundGatherer:
 
     Args:
         rate_hz: of the pieces' samples.
+        heard_hz: the same as a microphone heard it, where the clock is that of a slow film.
 
     Raises:
         ValueError: no sound has such a rate.
     """
 
-    def __init__(self, rate_hz: float) -> None:
+    def __init__(self, rate_hz: float, heard_hz: float = 0.0) -> None:
         low, high = RATES_HZ
         if not low <= rate_hz <= high:
             raise ValueError(f"claims {rate_hz:.6g} samples a second")
         self._file_hz = float(rate_hz)
-        self._every = max(1, ceil(rate_hz / _KEPT_HZ))
+        heard_hz = heard_hz if low <= heard_hz <= high else self._file_hz
+        self._every = max(1, ceil(heard_hz / _KEPT_HZ))
+        self._most = int(MOST_S * heard_hz)  # samples, before they are reduced
         self._pieces: list[NDArray[np.float32]] = []
         self._rest = np.empty(0, np.float32)  # what is not yet a sample that is kept
         self._offsets_s: list[float] = []  # of the pieces before the first hole
@@ -154,14 +157,14 @@ class SoundGatherer:
             return
         self._holes += 1
         self._hole_s += late_s
-        left = MOST_S * self._file_hz - self._count
-        self._append(np.zeros(round(min(late_s * self._file_hz, left)), np.float32))
+        count = round(min(late_s * self._file_hz, self._most - self._count))
+        self._append(np.zeros(count, np.float32))
 
     def _append(self, mono: NDArray[np.float32]) -> None:
-        most = int(MOST_S * self._file_hz) - self._count
+        most = self._most - self._count
         if len(mono) > most:
             mono = mono[:most]
-            self._why_full = f"{MOST_S:g} s are enough"
+            self._why_full = f"{MOST_S / 60:g} minutes are enough"
         self._count += len(mono)
         if self._every == 1:
             self._pieces.append(mono)

@@ -73,6 +73,31 @@ class PictureType:
     is_video: bool = False
 
 
+class SoundSample(NamedTuple):
+    """One message's sound.
+
+    Attributes:
+        stamp_ns: of the first sample.
+        format: of `data`, as Foxglove names it.
+        data: the bytes.
+        rate_hz: samples a second.
+        channels: that are interleaved.
+    """
+
+    stamp_ns: int
+    format: str
+    data: Any
+    rate_hz: int
+    channels: int
+
+
+@dataclass(frozen=True)
+class SoundType:
+    """A type with sound."""
+
+    read: Callable[[Any], SoundSample]
+
+
 PlanPoint = tuple[
     int,
     "Sequence[float] | np.ndarray",
@@ -122,7 +147,7 @@ class WrenchType:
 DriveType = PlanType | NumbersType | WrenchType
 """A type of what drives a robot."""
 
-MessageType = PositionType | JointType | PictureType | DriveType
+MessageType = PositionType | JointType | PictureType | SoundType | DriveType
 """What a type of messages holds."""
 
 
@@ -226,6 +251,12 @@ def _foxglove_image(message: Any) -> PictureSample:
     return PictureSample(time_ns(message.timestamp), message.format, message.data)
 
 
+def _raw_audio(message: Any) -> SoundSample:
+    rate_hz, channels = int(message.sample_rate), int(message.number_of_channels)
+    stamp_ns = time_ns(message.timestamp)
+    return SoundSample(stamp_ns, message.format, message.data, rate_hz, channels)
+
+
 _MESSAGE_TYPES: dict[str, MessageType] = {
     "geometry_msgs/msg/PoseStamped": ros_pose("pose"),
     "geometry_msgs/msg/PoseWithCovarianceStamped": ros_pose("pose.pose"),
@@ -253,5 +284,6 @@ _MESSAGE_TYPES: dict[str, MessageType] = {
     "foxglove.CompressedImage": PictureType(_foxglove_image),
     "foxglove.RawImage": PictureType(lambda message: _raw(time_ns(message.timestamp), message)),
     "foxglove.CompressedVideo": PictureType(_foxglove_image, is_video=True),
+    "foxglove.RawAudio": SoundType(_raw_audio),
 }
 """By the name that `type_key` gives; a new type is one line here, and one in `shapes.py`."""

@@ -49,6 +49,7 @@ _FOREIGN = {
         "FrameTransforms": "foxglove_msgs/FrameTransform[] transforms",
         "CompressedImage": f"{_FRAME}uint8[] data\nstring format",
         "CompressedVideo": f"{_FRAME}uint8[] data\nstring format",
+        "RawAudio": messages.AUDIO_FIELDS,
         "RawImage": f"{_FRAME}uint32 width\nuint32 height\nstring encoding\nuint32 step\n"
         "uint8[] data",
     },

@@ -159,6 +159,13 @@ _SHAPES: dict[str, Fields] = {
     ),
     "foxglove.CompressedImage": _PICTURE,
     "foxglove.CompressedVideo": _PICTURE,
+    "foxglove.RawAudio": _fields(
+        timestamp=Leaf.TIME,
+        data=Leaf.DATA,
+        format=Leaf.TEXT,
+        sample_rate=Leaf.WHOLE,
+        number_of_channels=Leaf.WHOLE,
+    ),
     "foxglove.RawImage": Fields({"timestamp": Leaf.TIME, **_PIXELS}),
 }
 """The fields that are read of each type, by the name that `type_key` gives."""

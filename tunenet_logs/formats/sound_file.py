@@ -10,8 +10,9 @@ from tunenet_logs.episode import Channel, Episode, EpisodeInfo
 from tunenet_logs.errors import COPY_AGAIN, LogError
 from tunenet_logs.formats.media_file import SOUNDS, opened_media
 from tunenet_logs.formats.read_options import AS_IT_SAYS, ReadOptions
-from tunenet_logs.formats.sound_track import AUDIO_TOPIC, PacketTimes, SoundTrack, sound_stream
+from tunenet_logs.formats.sound_track import PacketTimes, SoundTrack, sound_stream
 from tunenet_logs.formats.video_clock import creation_ns
+from tunenet_logs.messages import AUDIO_TOPIC
 from tunenet_logs.sound import Sound
 
 SUFFIXES = (".wav", ".m4a", ".mp3", ".flac", ".ogg", ".opus", ".aac", ".aiff", ".aif", ".caf")

@@ -13,14 +13,12 @@ from numpy.typing import NDArray
 from tunenet_logs.errors import LogError
 from tunenet_logs.formats.gathered_sound import MOST_S, GatheredSound, SoundGatherer
 from tunenet_logs.formats.media_file import opened_media
+from tunenet_logs.messages import AUDIO_TOPIC
 from tunenet_logs.sound import Sound
 
 if TYPE_CHECKING:
     from av import AudioFrame
     from av.container import InputContainer
-
-AUDIO_TOPIC = "/audio"
-"""What the sound of a file goes by, and where it goes in our own logs."""
 
 _MOST_PACKETS = 250_000
 """Of sound, that are listed: an hour and a half of AAC."""

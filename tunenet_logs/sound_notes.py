@@ -1,0 +1,58 @@
+"""Sound as a log keeps it: in short blocks, and notes on what their messages cannot say."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tunenet_logs.sound import Sound
+
+_RATE, _FILE_RATE, _ABOUT = "sound_rate_hz", "sound_file_rate_hz", "sound"
+
+_BLOCK_S = 0.1
+"""Of the log's clock, in each message."""
+
+_FULL_SCALE = 32768.0
+"""Of 16 bits."""
+
+
+def sound_notes_of(sound: Sound) -> dict[str, str]:
+    """The notes on a sound that is written to a log."""
+    channels = {1: "mono", 2: "stereo"}.get(sound.channels, f"{sound.channels} channels")
+    notes = {
+        _ABOUT: f"{sound.codec}, {sound.file_rate_hz:g} Hz, {channels}",
+        _RATE: repr(float(sound.rate_hz)),
+        _FILE_RATE: repr(float(sound.file_rate_hz)),
+    }
+    return notes | ({"sound_warnings": "; ".join(sound.warnings)} if sound.warnings else {})
+
+
+def noted_rates(notes: Mapping[str, str]) -> tuple[float, float]:
+    """The rate of a log's sound on its clock, and that of the file it came from; 0 if not told."""
+    return _positive(notes.get(_RATE, "")), _positive(notes.get(_FILE_RATE, ""))
+
+
+def _positive(text: str) -> float:
+    try:
+        rate_hz = float(text)
+    except ValueError:
+        return 0.0
+    return rate_hz if math.isfinite(rate_hz) and rate_hz > 0 else 0.0
+
+
+def sound_blocks(sound: Sound) -> Iterator[tuple[int, NDArray[np.int16]]]:
+    """Blocks of a sound with their stamps [ns], each of shape (N, 1); none before a log can begin.
+
+    Args:
+        sound: all of it.
+    """
+    step = max(1, round(_BLOCK_S * sound.rate_hz))
+    begin = max(0, int(np.ceil(-sound.start_ns * 1e-9 * sound.rate_hz)))
+    for first in range(begin, len(sound.samples), step):
+        piece = np.round(sound.samples[first : first + step] * _FULL_SCALE)
+        pcm = np.clip(piece, -_FULL_SCALE, _FULL_SCALE - 1).astype(np.int16)
+        stamp_ns = sound.start_ns + round(first / sound.rate_hz * 1e9)
+        yield max(stamp_ns, 0), pcm[:, None]
