@@ -17,8 +17,8 @@ _MOVES = 3.0
 
 _REJECT_SHARE = 0.5
 _GOOD_SHARE, _GOOD_JUMPY_SHARE = 0.05, 0.1
-"""Of a column's spread, that a simulator may leave; of one that jumps more, for a jump that is met a
-little early or late leaves some of itself."""
+"""Of a column's spread, that a simulator may leave; of one that jumps more, for a jump that is met
+a little early or late leaves some of itself."""
 
 _STILL_SHARE = 1e-2
 """Of what columns of its unit vary by, that one counts as varying by at least."""
