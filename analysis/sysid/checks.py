@@ -6,7 +6,7 @@ import numpy as np
 
 from analysis.checks import Check
 from analysis.sysid.advice import excitation
-from analysis.sysid.compared import ComparedColumns
+from analysis.sysid.compared import ComparedColumns, noise_of
 from analysis.sysid.fit import SimulatorFit
 from recorders.simulators.base import Parameter
 from tunenet_logs.arrays import Array
@@ -16,8 +16,9 @@ _MOVES = 3.0
 """Times its noise that a column has to vary by, one at least."""
 
 _REJECT_SHARE = 0.5
-_GOOD_SHARE = 0.05
-"""Of a column's spread, that a simulator may leave."""
+_GOOD_SHARE, _GOOD_JUMPY_SHARE = 0.05, 0.1
+"""Of a column's spread, that a simulator may leave; of one that jumps more, for a jump that is met
+a little early or late leaves some of itself."""
 
 _STILL_SHARE = 1e-2
 """Of what columns of its unit vary by, that one counts as varying by at least."""
@@ -54,8 +55,10 @@ def match_check(target: ComparedColumns, residuals: Array) -> Check:
     """Whether what the simulator leaves of each column is its noise, or little of its motion."""
     left = target.rms(residuals)
     spreads = np.array([_spread(target, column.unit, column.spread) for column in target.columns])
-    noises = np.array([column.noise for column in target.columns])
-    limits = np.maximum(_NOISES * noises / spreads, _GOOD_SHARE)
+    noises = _noises(target, residuals)
+    jumpy = np.array([column.is_jumpy for column in target.columns])
+    good = np.where(jumpy, _GOOD_JUMPY_SHARE, _GOOD_SHARE)
+    limits = np.maximum(_NOISES * noises / spreads, good)
     over = left / spreads / limits
     place = int(np.argmax(over))
     worst = target.columns[place]
@@ -71,6 +74,20 @@ def match_check(target: ComparedColumns, residuals: Array) -> Check:
         fatal=share > _REJECT_SHARE,
         advice=_WRONG_MODEL,
     )
+
+
+def _noises(target: ComparedColumns, residuals: Array) -> Array:
+    """Of each column; of one that jumps, what still jumps when the simulator's motion is taken off.
+
+    A servo's efforts jump with each command: by themselves they look like noise, of a size at which
+    any simulator would match.
+    """
+    found: list[float] = []
+    for number, column in enumerate(target.columns):
+        left = residuals[target.which == number]
+        noise = noise_of(left[np.isfinite(left)]) if column.is_jumpy else column.noise
+        found.append(min(noise, column.noise))
+    return np.array(found)
 
 
 def _spread(target: ComparedColumns, unit: str, spread: float) -> float:
