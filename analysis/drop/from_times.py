@@ -1,5 +1,6 @@
 """A drop by its impacts alone, as times in a log or as a sound: restitution from how much shorter
-each flight is."""
+each flight is.
+"""
 
 from __future__ import annotations
 

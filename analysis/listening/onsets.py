@@ -9,6 +9,7 @@ Zisin 38, 1985).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,9 +98,7 @@ def onsets(sound: Sound) -> Onsets:
         return Onsets(*(np.zeros(0) for _ in range(4)), np.zeros((0, len(powers))))
     rises, before, after = _rises(powers)
     frames = _peaks(rises.mean(axis=0))
-    picked = [
-        _moment(samples, frame * hop, sound.file_rate_hz) for frame in frames.tolist()
-    ]
+    picked = [_moment(samples, frame * hop, sound.file_rate_hz) for frame in frames.tolist()]
     own = np.maximum(after[:, frames] - before[:, frames], 1e-12 + 0.05 * after[:, frames])
     colours_db = 10 * np.log10(own)
     at, sds = np.array(picked, dtype=np.float64).reshape(-1, 2).T
@@ -132,7 +131,7 @@ def _band_powers(samples: Array, rate_hz: float) -> Array:
     hop, wide = _hop(rate_hz), max(round(_FRAME_S / _HOP_S), 1)
     edges = [edge for edge in _EDGES_HZ if edge < 0.46 * rate_hz]
     found = []
-    for low, high in zip(edges, edges[1:], strict=False):
+    for low, high in pairwise(edges):
         sos = butter(2, (low, high), "bandpass", fs=rate_hz, output="sos")
         band = np.asarray(sosfilt(sos, samples)) ** 2
         count = len(band) // hop

@@ -19,7 +19,6 @@ from analysis.drop.times.likelihood import log_likelihood
 from analysis.drop.times.missing_impacts import MISSED
 from analysis.drop.times.posterior import MOST_TIMES, Besides, HeardBall, heard_ball
 from analysis.listening.onsets import Onsets
-from tunenet_logs.arrays import Array
 
 _FITTED = 24
 """Chains that are fitted."""
@@ -148,8 +147,10 @@ def _changes(heard: Onsets, chain: Chain) -> list[Chain]:
     earlier = np.flatnonzero((times_s > first - _BEFORE_S) & (times_s < first))
     first_gap = (own_s[1] - first) / (numbers[1] - numbers[0])
     earlier = earlier[(first - times_s[earlier]) > 0.9 * first_gap]
-    for one in earlier[::-1][:_TRIED].tolist():
-        found.append(Chain(np.append(one, which), np.append(0, numbers + 1), 0.0))
+    found.extend(
+        Chain(np.append(one, which), np.append(0, numbers + 1), 0.0)
+        for one in earlier[::-1][:_TRIED].tolist()
+    )
     # gaps shrink evenly in their logarithm: good enough to look about
     logs = np.log(np.diff(own_s) / np.diff(numbers))
     middles = (numbers[1:] + numbers[:-1]) / 2
@@ -167,7 +168,9 @@ def _changes(heard: Onsets, chain: Chain) -> list[Chain]:
         closest = near[np.argsort(np.abs(times_s[near] - due))[:_TRIED]]
         for one in closest.tolist():
             place = at + 1
-            found.append(Chain(np.insert(which, place, one), np.insert(numbers, place, number), 0.0))
+            found.append(
+                Chain(np.insert(which, place, one), np.insert(numbers, place, number), 0.0)
+            )
     return found
 
 

@@ -306,9 +306,7 @@ class _Told:
         )
 
 
-def _cut_normal(
-    middle: Array, sd: Array, low: float, high: float
-) -> tuple[Array, Array, Array]:
+def _cut_normal(middle: Array, sd: Array, low: float, high: float) -> tuple[Array, Array, Array]:
     """Logarithm of a normal distribution's share between two ends, mean and variance there."""
     from scipy.special import log_ndtr
 
@@ -342,7 +340,9 @@ def _weighed(fit: _Fit, nodes: priors.Nodes, log_rate: float, rig: Rig) -> Balls
     variance = told.covariances[..., 1, 1]
     off_sds = np.zeros_like(log)
     if rig.height_m is not None:
-        value, variance, begin, off_sds, height_log = _from_height(told, fit.seconds_m_s, nodes, rig)
+        value, variance, begin, off_sds, height_log = _from_height(
+            told, fit.seconds_m_s, nodes, rig
+        )
         log = log + height_log
     most = log.max()
     weights = np.exp(log - most)

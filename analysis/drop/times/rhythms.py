@@ -67,7 +67,9 @@ def best_rhythm(
     found = []
     for name, beats in _families(int(numbers.max())):
         sums = np.cumsum(np.column_stack([np.zeros(len(beats)), beats]), axis=1)[:, numbers]
-        each = np.logaddexp(_jittered(times_s, sums, jitter_s), _running(times_s, sums, np.diff(numbers)))
+        each = np.logaddexp(
+            _jittered(times_s, sums, jitter_s), _running(times_s, sums, np.diff(numbers))
+        )
         most = float(each.max())
         evidence = most + float(np.log(np.exp(each - most).mean())) - float(np.log(2.0))
         found.append(Rhythm(name, evidence - _RANGE - (len(times_s) - 1) * log_rate))

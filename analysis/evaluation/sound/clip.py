@@ -18,8 +18,8 @@ from analysis.evaluation.sound.sound_file import through_aac, write_sound
 from analysis.evaluation.sound.sounding_balls import (
     SOUNDING_BALLS,
     SOUNDING_TABLES,
-    SampledBall,
     ImpactVoice,
+    SampledBall,
     draw_ball,
     draw_voice,
 )
