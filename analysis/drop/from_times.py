@@ -1,6 +1,4 @@
-"""A drop by its impacts alone, as times in a log or as a sound: restitution from how much shorter
-each flight is.
-"""
+"""A drop by its impacts alone: restitution from how much shorter each flight is."""
 
 from __future__ import annotations
 

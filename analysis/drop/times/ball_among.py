@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.drop.times.fit import Rig
-from analysis.drop.times.knocks import Chain, Crowd, chains, softer_db
+from analysis.drop.times.knocks import Crowd, KnockChain, chains, softer_db
 from analysis.drop.times.likelihood import log_likelihood
 from analysis.drop.times.missing_impacts import MISSED
 from analysis.drop.times.posterior import MOST_TIMES, Besides, HeardBall, heard_ball
@@ -93,7 +93,7 @@ class _Judge:
     crowd: Crowd
     rig: Rig
 
-    def judged(self, chain: Chain) -> Chain:
+    def judged(self, chain: KnockChain) -> KnockChain:
         """With its evidence as its score."""
         which, numbers = chain.which, chain.numbers
         times_s = self.heard.times_s[which]
@@ -105,7 +105,7 @@ class _Judge:
         score = odds + missed * np.log(MISSED) + len(which) * np.log1p(-MISSED)
         return replace(chain, score=score + self._beside(chain))
 
-    def _beside(self, chain: Chain) -> float:
+    def _beside(self, chain: KnockChain) -> float:
         """Of loudness and colour, and of the knocks that are left for chance."""
         loud = self.heard.loudness_db[chain.which]
         colours = self.heard.colours_db[chain.which]
@@ -118,12 +118,12 @@ class _Judge:
         left = (every - own) * np.log((every - own) / every) if every > own else 0.0
         return float(odds.sum()) + own + float(left) - float(np.log(every))
 
-    def besides(self, chain: Chain) -> Besides:
+    def besides(self, chain: KnockChain) -> Besides:
         """What the times alone do not say."""
         return Besides(self.crowd.rate_hz, self._beside(chain))
 
 
-def _completed(judge: _Judge, chain: Chain) -> Chain:
+def _completed(judge: _Judge, chain: KnockChain) -> KnockChain:
     """With every change that raises its evidence, the best first."""
     for _ in range(_CHANGES):
         tried = [judge.judged(one) for one in _changes(judge.heard, chain)]
@@ -134,21 +134,21 @@ def _completed(judge: _Judge, chain: Chain) -> Chain:
     return chain
 
 
-def _changes(heard: Onsets, chain: Chain) -> list[Chain]:
+def _changes(heard: Onsets, chain: KnockChain) -> list[KnockChain]:
     """One knock more, or one less."""
     times_s, which, numbers = heard.times_s, chain.which, chain.numbers
     own_s = times_s[which]
-    found: list[Chain] = []
+    found: list[KnockChain] = []
     if len(which) > 3:
         for place in range(len(which)):
             left, rest = np.delete(which, place), np.delete(numbers, place)
-            found.append(Chain(left, rest - rest[0], 0.0))
+            found.append(KnockChain(left, rest - rest[0], 0.0))
     first = own_s[0]
     earlier = np.flatnonzero((times_s > first - _BEFORE_S) & (times_s < first))
     first_gap = (own_s[1] - first) / (numbers[1] - numbers[0])
     earlier = earlier[(first - times_s[earlier]) > 0.9 * first_gap]
     found.extend(
-        Chain(np.append(one, which), np.append(0, numbers + 1), 0.0)
+        KnockChain(np.append(one, which), np.append(0, numbers + 1), 0.0)
         for one in earlier[::-1][:_TRIED].tolist()
     )
     # gaps shrink evenly in their logarithm: good enough to look about
@@ -169,7 +169,7 @@ def _changes(heard: Onsets, chain: Chain) -> list[Chain]:
         for one in closest.tolist():
             place = at + 1
             found.append(
-                Chain(np.insert(which, place, one), np.insert(numbers, place, number), 0.0)
+                KnockChain(np.insert(which, place, one), np.insert(numbers, place, number), 0.0)
             )
     return found
 

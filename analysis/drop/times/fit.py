@@ -15,27 +15,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.drop.times import impact_prior as priors
-from analysis.drop.times.flight_times import FlightTimes, fallen_m_s, flights
-from recorders.simulators.base import GRAVITY_M_S2
+from analysis.drop.times.contacts import WithContacts
+from analysis.drop.times.flight_times import fallen_m_s
+from analysis.drop.times.least_squares import BallsByTimes, Whitening
 from tunenet_logs.arrays import Array
 
 HEIGHT_SD, LEAST_HEIGHT_SD_M = 0.005, 0.003
 """By how much a height may be off that was measured by hand: a fraction, and a length [m]."""
-
-CONTACT_S, CONTACT_SD_S, CONTACTS_S = 0.002, 0.003, (0.0, 0.009)
-"""How long a ball touches the table: a steel ball .2 ms, a soft one 8 ms."""
-
-BOUNCE_SCATTER = 0.002
-"""Standard deviation of each impact's own restitution about the law, as a fraction."""
 
 _FREEDOM = 2.0
 """Of the height's distribution."""
 
 _ROUGH, _FINE, _REACH_SDS = (18, 12), (25, 25), 4.5
 """Cells of the grid, first over all balls, then about what is likely, so many sds to a side."""
-
-_ITERATIONS, _SHORT = 7, 1e-6
-"""Of Gauss and Newton's method, and the step of its derivatives."""
 
 _LEAST_SD = 1e-5
 """Of a restitution: no clock and no table are better."""
@@ -45,9 +37,6 @@ FLIGHT_RANGE = float(np.log(100.0))
 
 _NEGLIGIBLE = 1e-6
 """Weight of a ball that is left away."""
-
-_TRIED = np.linspace(0.06, 1.1, 209)
-"""Restitutions to begin with."""
 
 
 @dataclass(frozen=True)
@@ -130,15 +119,15 @@ def fit_times(
         rig.drag_1_m,
         has_clock=rig.has_clock,
     )
-    white = Whitening.of(times_s, numbers, rig)
-    balls = _weighed(_Fit.of(times_s, numbers, nodes, white), nodes, log_rate, rig)
+    white = Whitening.of(times_s, numbers, rig.jitter_s)
+    balls = _weighed(BallsByTimes.of(times_s, numbers, nodes, white), nodes, log_rate, rig)
     if not fine:
         return balls
     positive = balls.drags_1_m > 0
     logs = np.log(np.where(positive, balls.drags_1_m, priors.USUAL_DRAG_1_M))
     ends = [_about(balls, balls.slopes, 0.01), _about(balls, logs, 0.1)]
     nodes = priors.nodes(ends[0], ends[1], _FINE, rig.drag_1_m, has_clock=rig.has_clock)
-    return _weighed(_Fit.of(times_s, numbers, nodes, white), nodes, log_rate, rig)
+    return _weighed(BallsByTimes.of(times_s, numbers, nodes, white), nodes, log_rate, rig)
 
 
 def _about(balls: Balls, values: Array, least_sd: float) -> tuple[float, float]:
@@ -146,191 +135,11 @@ def _about(balls: Balls, values: Array, least_sd: float) -> tuple[float, float]:
     return middle - _REACH_SDS * sd, middle + _REACH_SDS * sd
 
 
-@dataclass(frozen=True, eq=False)
-class Whitening:
-    """Makes residuals of the times independent, of the size of the jitter.
-
-    An impact that returns more than the law says makes all later flights longer. How much that is
-    beside the jitter is taken from the usual jitter.
-
-    Attributes:
-        rows: lower triangle, shape (N, N).
-        log_size: logarithm of its determinant.
-    """
-
-    rows: Array
-    log_size: float
-
-    @classmethod
-    def of(cls, times_s: Array, numbers: NDArray[np.int64], rig: Rig) -> Whitening:
-        """Of the times that were heard."""
-        every = np.interp(np.arange(numbers.max() + 1), numbers, times_s)
-        later_s = np.maximum(times_s[:, None] - every[None, 1:-1], 0.0)
-        spread = np.eye(len(times_s)) + (BOUNCE_SCATTER / rig.jitter_s) ** 2 * later_s @ later_s.T
-        rows = np.linalg.inv(np.linalg.cholesky(spread))
-        return cls(rows, float(np.log(np.diag(rows)).sum()))
-
-
-@dataclass(frozen=True, eq=False)
-class _Fit:
-    """Least squares of every ball of a grid.
-
-    Attributes:
-        unknowns: time of the first impact [s], log speed after it [m/s], restitution at the second;
-            shape (M, 3), of balls that touch the table for the usual time.
-        spread: of them, for a jitter of 1 s, shape (M, 3, 3).
-        squares: sum of the squared residuals, shape (M,) [s²].
-        leans: change of the unknowns with longer contacts, shape (M, 3) [1/s].
-        across: sum of the residuals times what a contact of 1 s more makes of them, shape (M,) [s].
-        bends: sum of the squares of the latter, shape (M,).
-        log_size: see `Whitening`.
-        seconds_m_s: speed of the second impact, shape (M,).
-        count: N, of the times.
-    """
-
-    unknowns: Array
-    spread: Array
-    squares: Array
-    leans: Array
-    across: Array
-    bends: Array
-    seconds_m_s: Array
-    count: int
-    log_size: float
-
-    @classmethod
-    def of(
-        cls,
-        times_s: Array,
-        numbers: NDArray[np.int64],
-        nodes: priors.Nodes,
-        white: Whitening,
-    ) -> _Fit:
-        """Gauss-Newton for all balls at once, from the ball without air that fits best."""
-        count = int(numbers.max())
-
-        def flown(begin: Array, kept: Array) -> FlightTimes:
-            return flights(count, np.exp(begin), kept, nodes.slopes, nodes.drags_1_m)
-
-        longer = numbers.astype(np.float64)  # each contact before a time delays it
-        times_s = times_s - CONTACT_S * longer
-        start = ideal_ball(times_s, numbers)
-        unknowns = np.tile(start, (len(nodes.slopes), 1))
-        first = left = np.zeros((len(times_s), len(unknowns)))
-        leans = np.zeros_like(unknowns)
-        seconds, spread = unknowns[:, 0], np.zeros((len(unknowns), 3, 3))
-        for step in range(_ITERATIONS + 1):
-            begin, kept = unknowns[:, 1], unknowns[:, 2]
-            here = flown(begin, kept)
-            hits = here.impacts_s[numbers]
-            seconds = here.arriving_m_s[1]
-            first = white.rows @ (times_s[:, None] - unknowns[:, 0] - hits)
-            jacobian = np.stack(
-                [
-                    np.ones_like(hits),
-                    (flown(begin + _SHORT, kept).impacts_s[numbers] - hits) / _SHORT,
-                    (flown(begin, kept + _SHORT).impacts_s[numbers] - hits) / _SHORT,
-                ],
-                axis=-1,
-            )
-            jacobian = np.tensordot(white.rows, jacobian, 1)
-            normal = np.einsum("nmi,nmj->mij", jacobian, jacobian)
-            normal += 1e-12 * np.eye(3)
-            spread = np.linalg.inv(normal)
-            if step == _ITERATIONS:
-                late = white.rows @ longer
-                leans = -np.einsum("mij,nmj,n->mi", spread, jacobian, late)
-                left = late[:, None] + np.einsum("nmi,mi->nm", jacobian, leans)
-                break
-            gradient = np.einsum("nmi,nm->mi", jacobian, first)
-            moves = np.einsum("mij,mj->mi", spread, gradient)
-            moves[:, 1:] = np.clip(moves[:, 1:], -0.15, 0.15)
-            unknowns = unknowns + moves
-            unknowns[:, 2] = np.clip(unknowns[:, 2], 0.01, 1.3)
-        across, bends = (first * left).sum(axis=0), (left**2).sum(axis=0)
-        squares = (first**2).sum(axis=0)
-        return cls(
-            unknowns, spread, squares, leans, across, bends, seconds, len(times_s), white.log_size
-        )
-
-
-def ideal_ball(times_s: Array, numbers: NDArray[np.int64]) -> Array:
-    """The best ball without air and slope: first impact [s], log speed [m/s], restitution."""
-    powers = _TRIED[:, None] ** np.arange(int(numbers.max()))
-    at = np.cumsum(np.column_stack([np.zeros(len(_TRIED)), powers]), axis=1)[:, numbers]
-    middle = at.mean(axis=1)
-    about = at - middle[:, None]
-    lasting = about @ times_s / (about**2).sum(axis=1)
-    begin = times_s.mean() - lasting * middle
-    squares = ((times_s - begin[:, None] - lasting[:, None] * at) ** 2).sum(axis=1)
-    best = int(np.where(lasting > 0, squares, np.inf).argmin())
-    speed_m_s = max(float(lasting[best]), 1e-6) * GRAVITY_M_S2 / 2
-    return np.array([begin[best], np.log(speed_m_s), _TRIED[best]])
-
-
-@dataclass(frozen=True, eq=False)
-class _Told:
-    """What a fit tells of every ball with every jitter, contacts averaged over.
-
-    Attributes:
-        middles: log speed after the first impact [m/s] and restitution at the second, shape
-            (M, J, 2).
-        covariances: of them, shape (M, J, 2, 2).
-        contacts_s: how long the ball touches the table, shape (M, J).
-        log_gains: what the contacts add to the logarithm of the evidence, shape (M, J).
-    """
-
-    middles: Array
-    covariances: Array
-    contacts_s: Array
-    log_gains: Array
-
-    @classmethod
-    def of(cls, fit: _Fit) -> _Told:
-        """What a contact changes is linear, and its prior a part of a normal distribution."""
-        jitters = priors.JITTERS_S
-        sharpness = fit.bends[:, None] / jitters**2 + CONTACT_SD_S**-2
-        pull = fit.across[:, None] / jitters**2
-        sd = sharpness**-0.5
-        ends = np.array(CONTACTS_S) - CONTACT_S
-        log_share, longer_s, variance = _cut_normal(pull / sharpness, sd, *ends)
-        leans = fit.leans[:, None, 1:]
-        own = jitters[:, None, None] ** 2 * fit.spread[:, None, 1:, 1:]
-        shared = leans[..., :, None] * leans[..., None, :] * variance[..., None, None]
-        gains = 0.5 * pull**2 / sharpness + np.log(sd / CONTACT_SD_S) + log_share
-        return cls(
-            fit.unknowns[:, None, 1:] + leans * longer_s[..., None],
-            own + shared,
-            CONTACT_S + longer_s,
-            gains,
-        )
-
-
-def _cut_normal(middle: Array, sd: Array, low: float, high: float) -> tuple[Array, Array, Array]:
-    """Logarithm of a normal distribution's share between two ends, mean and variance there."""
-    from scipy.special import log_ndtr
-
-    flipped = middle > (low + high) / 2  # so that the nearer end is the lower one
-    centre = np.where(flipped, -middle, middle)
-    first, last = np.where(flipped, -high, low), np.where(flipped, -low, high)
-    begin, end = (first - centre) / sd, (last - centre) / sd
-    over, beyond = log_ndtr(-begin), log_ndtr(-end)
-    log_share = over + np.log1p(-np.exp(np.minimum(beyond - over, -1e-12)))
-    density_begin, density_end = (
-        np.exp(-0.5 * at**2 - 0.5 * np.log(2 * np.pi) - log_share) for at in (begin, end)
-    )
-    shift = density_begin - density_end
-    inside = np.clip(centre + sd * shift, first, last)
-    bent = 1 + begin * density_begin - np.where(np.isfinite(end), end * density_end, 0.0) - shift**2
-    variance = np.clip(sd**2 * bent, 0.0, sd**2)
-    return log_share, np.where(flipped, -inside, inside), variance
-
-
-def _weighed(fit: _Fit, nodes: priors.Nodes, log_rate: float, rig: Rig) -> Balls:
+def _weighed(fit: BallsByTimes, nodes: priors.Nodes, log_rate: float, rig: Rig) -> Balls:
     """Every ball of the grid with every jitter, by the evidence of each."""
     jitters = priors.JITTERS_S
     free = fit.count - 3
-    told = _Told.of(fit)
+    told = WithContacts.of(fit)
     log = nodes.log_prior[:, None] + priors.log_jitter_prior(rig.jitter_s)[None, :]
     log = log + told.log_gains + fit.log_size
     log = log - fit.squares[:, None] / (2 * jitters**2) - free * np.log(jitters)
@@ -366,7 +175,7 @@ def _weighed(fit: _Fit, nodes: priors.Nodes, log_rate: float, rig: Rig) -> Balls
 
 
 def _from_height(
-    told: _Told, seconds_m_s: Array, nodes: priors.Nodes, rig: Rig
+    told: WithContacts, seconds_m_s: Array, nodes: priors.Nodes, rig: Rig
 ) -> tuple[Array, Array, Array, Array, Array]:
     """The restitution at the first impact by height and law, shape (M, J).
 

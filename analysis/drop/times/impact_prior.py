@@ -38,6 +38,9 @@ _LOW_DRAG_1_M, _HIGH_DRAG_1_M = 5e-4, 0.6
 JITTERS_S = np.geomspace(3e-5, 0.03, 31)
 """Standard deviations of a time that are tried."""
 
+CONTACT_S, CONTACT_SD_S, CONTACTS_S = 0.002, 0.003, (0.0, 0.009)
+"""How long a ball touches the table: a steel ball .2 ms, a soft one 8 ms."""
+
 
 @dataclass(frozen=True, eq=False)
 class Nodes:

@@ -50,7 +50,7 @@ _CHAINS = 40
 
 
 @dataclass(frozen=True, eq=False)
-class Chain:
+class KnockChain:
     """Knocks as one ball's impacts.
 
     Attributes:
@@ -107,7 +107,7 @@ class Crowd:
         return _COLOURS * np.maximum(odds, -3.0)
 
 
-def chains(heard: Onsets, lasts_s: float, most: int = _CHAINS) -> list[Chain]:
+def chains(heard: Onsets, lasts_s: float, most: int = _CHAINS) -> list[KnockChain]:
     """The likeliest chains of three impacts or more, best first.
 
     Args:
@@ -123,7 +123,7 @@ def chains(heard: Onsets, lasts_s: float, most: int = _CHAINS) -> list[Chain]:
         return []
     which, scores = _followed(heard, seeds, crowd)
     order = np.argsort(-scores, kind="stable")
-    found: list[Chain] = []
+    found: list[KnockChain] = []
     taken: set[bytes] = set()
     for row in order.tolist():
         numbers = np.flatnonzero(which[row] >= 0)
@@ -131,7 +131,7 @@ def chains(heard: Onsets, lasts_s: float, most: int = _CHAINS) -> list[Chain]:
         if own.tobytes() in taken:
             continue
         taken.add(own.tobytes())
-        found.append(Chain(own, numbers - numbers[0], float(scores[row])))
+        found.append(KnockChain(own, numbers - numbers[0], float(scores[row])))
         if len(found) == most:
             break
     return found

@@ -10,15 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.drop.times import impact_prior as priors
-from analysis.drop.times.fit import (
-    CONTACT_S,
-    CONTACT_SD_S,
-    FLIGHT_RANGE,
-    Rig,
-    Whitening,
-    ideal_ball,
-)
+from analysis.drop.times.fit import FLIGHT_RANGE, Rig
 from analysis.drop.times.flight_times import flights
+from analysis.drop.times.least_squares import Whitening, ideal_ball
 from tunenet_logs.arrays import Array
 
 _SLOPE, _SLOPE_SD = 0.04, 0.07
@@ -44,13 +38,13 @@ def log_likelihood(
         log_rate: logarithm of the density of noises' times [1/s].
         rig: what is known of the ball; its height is not used.
     """
-    rows = Whitening.of(times_s, numbers, rig)
+    rows = Whitening.of(times_s, numbers, rig.jitter_s)
     log_drag = np.log(rig.drag_1_m or priors.USUAL_DRAG_1_M)
-    middles = np.array([0.0, 0.0, 0.0, _SLOPE, log_drag, CONTACT_S])
+    middles = np.array([0.0, 0.0, 0.0, _SLOPE, log_drag, priors.CONTACT_S])
     drag_sd = priors.KNOWN_DRAG if rig.drag_1_m else priors.LOG_DRAG_SD
-    prior = np.array([0.0, 0.0, 0.0, _SLOPE_SD**-2, drag_sd**-2, CONTACT_SD_S**-2])
+    prior = np.array([0.0, 0.0, 0.0, _SLOPE_SD**-2, drag_sd**-2, priors.CONTACT_SD_S**-2])
     at = middles.copy()
-    at[:_FLAT] = ideal_ball(times_s - CONTACT_S * numbers, numbers)
+    at[:_FLAT] = ideal_ball(times_s - priors.CONTACT_S * numbers, numbers)
     left, columns = _seen(times_s, numbers, at)
     for _ in range(_ITERATIONS):
         left, columns = rows.rows @ left, rows.rows @ columns

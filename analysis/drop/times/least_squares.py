@@ -1,0 +1,144 @@
+"""Least squares of many balls at once: each of a slope and a drag, to the times that were heard."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.drop.times import impact_prior as priors
+from analysis.drop.times.flight_times import FlightTimes, flights
+from recorders.simulators.base import GRAVITY_M_S2
+from tunenet_logs.arrays import Array
+
+BOUNCE_SCATTER = 0.002
+"""Standard deviation of each impact's own restitution about the law, as a fraction."""
+
+_ITERATIONS, _SHORT = 7, 1e-6
+"""Of Gauss and Newton's method, and the step of its derivatives."""
+
+_TRIED = np.linspace(0.06, 1.1, 209)
+"""Restitutions to begin with."""
+
+
+@dataclass(frozen=True, eq=False)
+class Whitening:
+    """Makes residuals of the times independent, of the size of the jitter.
+
+    An impact that returns more than the law says makes all later flights longer. How much that is
+    beside the jitter is taken from the usual jitter.
+
+    Attributes:
+        rows: lower triangle, shape (N, N).
+        log_size: logarithm of its determinant.
+    """
+
+    rows: Array
+    log_size: float
+
+    @classmethod
+    def of(cls, times_s: Array, numbers: NDArray[np.int64], jitter_s: float) -> Whitening:
+        """Of the times that were heard, by their usual jitter."""
+        every = np.interp(np.arange(numbers.max() + 1), numbers, times_s)
+        later_s = np.maximum(times_s[:, None] - every[None, 1:-1], 0.0)
+        spread = np.eye(len(times_s)) + (BOUNCE_SCATTER / jitter_s) ** 2 * later_s @ later_s.T
+        rows = np.linalg.inv(np.linalg.cholesky(spread))
+        return cls(rows, float(np.log(np.diag(rows)).sum()))
+
+
+@dataclass(frozen=True, eq=False)
+class BallsByTimes:
+    """Least squares of every ball of a grid.
+
+    Attributes:
+        unknowns: time of the first impact [s], log speed after it [m/s], restitution at the second;
+            shape (M, 3), of balls that touch the table for the usual time.
+        spread: of them, for a jitter of 1 s, shape (M, 3, 3).
+        squares: sum of the squared residuals, shape (M,) [s²].
+        leans: change of the unknowns with longer contacts, shape (M, 3) [1/s].
+        across: sum of the residuals times what a contact of 1 s more makes of them, shape (M,) [s].
+        bends: sum of the squares of the latter, shape (M,).
+        log_size: see `Whitening`.
+        seconds_m_s: speed of the second impact, shape (M,).
+        count: N, of the times.
+    """
+
+    unknowns: Array
+    spread: Array
+    squares: Array
+    leans: Array
+    across: Array
+    bends: Array
+    seconds_m_s: Array
+    count: int
+    log_size: float
+
+    @classmethod
+    def of(
+        cls,
+        times_s: Array,
+        numbers: NDArray[np.int64],
+        nodes: priors.Nodes,
+        white: Whitening,
+    ) -> BallsByTimes:
+        """Gauss-Newton for all balls at once, from the ball without air that fits best."""
+        count = int(numbers.max())
+
+        def flown(begin: Array, kept: Array) -> FlightTimes:
+            return flights(count, np.exp(begin), kept, nodes.slopes, nodes.drags_1_m)
+
+        longer = numbers.astype(np.float64)  # each contact before a time delays it
+        times_s = times_s - priors.CONTACT_S * longer
+        start = ideal_ball(times_s, numbers)
+        unknowns = np.tile(start, (len(nodes.slopes), 1))
+        first = left = np.zeros((len(times_s), len(unknowns)))
+        leans = np.zeros_like(unknowns)
+        seconds, spread = unknowns[:, 0], np.zeros((len(unknowns), 3, 3))
+        for step in range(_ITERATIONS + 1):
+            begin, kept = unknowns[:, 1], unknowns[:, 2]
+            here = flown(begin, kept)
+            hits = here.impacts_s[numbers]
+            seconds = here.arriving_m_s[1]
+            first = white.rows @ (times_s[:, None] - unknowns[:, 0] - hits)
+            jacobian = np.stack(
+                [
+                    np.ones_like(hits),
+                    (flown(begin + _SHORT, kept).impacts_s[numbers] - hits) / _SHORT,
+                    (flown(begin, kept + _SHORT).impacts_s[numbers] - hits) / _SHORT,
+                ],
+                axis=-1,
+            )
+            jacobian = np.tensordot(white.rows, jacobian, 1)
+            normal = np.einsum("nmi,nmj->mij", jacobian, jacobian)
+            normal += 1e-12 * np.eye(3)
+            spread = np.linalg.inv(normal)
+            if step == _ITERATIONS:
+                late = white.rows @ longer
+                leans = -np.einsum("mij,nmj,n->mi", spread, jacobian, late)
+                left = late[:, None] + np.einsum("nmi,mi->nm", jacobian, leans)
+                break
+            gradient = np.einsum("nmi,nm->mi", jacobian, first)
+            moves = np.einsum("mij,mj->mi", spread, gradient)
+            moves[:, 1:] = np.clip(moves[:, 1:], -0.15, 0.15)
+            unknowns = unknowns + moves
+            unknowns[:, 2] = np.clip(unknowns[:, 2], 0.01, 1.3)
+        across, bends = (first * left).sum(axis=0), (left**2).sum(axis=0)
+        squares = (first**2).sum(axis=0)
+        return cls(
+            unknowns, spread, squares, leans, across, bends, seconds, len(times_s), white.log_size
+        )
+
+
+def ideal_ball(times_s: Array, numbers: NDArray[np.int64]) -> Array:
+    """The best ball without air and slope: first impact [s], log speed [m/s], restitution."""
+    powers = _TRIED[:, None] ** np.arange(int(numbers.max()))
+    at = np.cumsum(np.column_stack([np.zeros(len(_TRIED)), powers]), axis=1)[:, numbers]
+    middle = at.mean(axis=1)
+    about = at - middle[:, None]
+    lasting = about @ times_s / (about**2).sum(axis=1)
+    begin = times_s.mean() - lasting * middle
+    squares = ((times_s - begin[:, None] - lasting[:, None] * at) ** 2).sum(axis=1)
+    best = int(np.where(lasting > 0, squares, np.inf).argmin())
+    speed_m_s = max(float(lasting[best]), 1e-6) * GRAVITY_M_S2 / 2
+    return np.array([begin[best], np.log(speed_m_s), _TRIED[best]])
