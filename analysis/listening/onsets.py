@@ -95,7 +95,8 @@ def onsets(sound: Sound) -> Onsets:
     powers = _band_powers(samples, sound.file_rate_hz)
     hop = _hop(sound.file_rate_hz)
     if powers.shape[1] < _BEFORE + _GUARD + _AFTER:
-        return Onsets(*(np.zeros(0) for _ in range(4)), np.zeros((0, len(powers))))
+        none = np.zeros(0)
+        return Onsets(none, none, none, none, np.zeros((0, len(powers))))
     rises, before, after = _rises(powers)
     frames = _peaks(rises.mean(axis=0))
     picked = [_moment(samples, frame * hop, sound.file_rate_hz) for frame in frames.tolist()]
@@ -117,7 +118,7 @@ def _echoes(times_s: Array, loudness_db: Array) -> NDArray[np.bool_]:
     """Which knocks follow a louder one so soon that a wall may have thrown that back."""
     since_s = times_s[:, None] - times_s[None, :]
     louder = loudness_db[None, :] > loudness_db[:, None] + _ECHO_DB
-    return ((since_s > 0) & (since_s < _ECHO_S) & louder).any(axis=1)
+    return np.any((since_s > 0) & (since_s < _ECHO_S) & louder, axis=1)
 
 
 def _hop(rate_hz: float) -> int:

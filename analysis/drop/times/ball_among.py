@@ -38,6 +38,9 @@ _SECONDS = 6
 _ECHO_SPREAD_S = 0.002
 """By which what is late by the same time everywhere is an echo."""
 
+_AS_LOUD_DB = 6.0
+"""Below the ball's own, from which on another knock is as loud."""
+
 _TRIED = 6
 """Knocks, for one impact."""
 
@@ -50,11 +53,13 @@ class BallAmong:
         ball: by its impact times, on the sound's clock.
         which: indices of its impacts among the onsets, shape (N,).
         second_odds: logarithm of the odds for a second ball while this one bounces.
+        as_loud: other knocks meanwhile that are as loud as its own.
     """
 
     ball: HeardBall
     which: NDArray[np.int64]
     second_odds: float
+    as_loud: int
 
 
 def ball_among(heard: Onsets, lasts_s: float, rig: Rig) -> BallAmong | None:
@@ -76,7 +81,7 @@ def ball_among(heard: Onsets, lasts_s: float, rig: Rig) -> BallAmong | None:
     if ball is None:
         return None
     kept = which[ball.reading.heard]
-    return BallAmong(ball, kept, _second_odds(judge, kept))
+    return BallAmong(ball, kept, _second_odds(judge, kept), _as_loud(heard, kept))
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,6 +177,15 @@ def _changes(heard: Onsets, chain: KnockChain) -> list[KnockChain]:
                 KnockChain(np.insert(which, place, one), np.insert(numbers, place, number), 0.0)
             )
     return found
+
+
+def _as_loud(heard: Onsets, which: NDArray[np.int64]) -> int:
+    """Knocks of others between the ball's first and last that are as loud as its own then."""
+    own_s, own_db = heard.times_s[which], heard.loudness_db[which]
+    others = heard.only(np.setdiff1d(np.arange(len(heard)), which))
+    inside = (others.times_s > own_s[0]) & (others.times_s < own_s[-1])
+    least_db = np.interp(others.times_s, own_s, own_db) - _AS_LOUD_DB
+    return int((inside & (others.loudness_db > least_db)).sum())
 
 
 def _second_odds(judge: _Judge, which: NDArray[np.int64]) -> float:

@@ -18,6 +18,9 @@ _MOST_WRONG = 0.4
 _SURE_ODDS = float(np.log(100.0))
 """Logarithm of the odds against noises at random times."""
 
+_MOST_AS_LOUD = 2
+"""Knocks of others while a ball bounces, as loud as its own."""
+
 _MOST_JITTER_S, _MOST_JITTER = 0.006, 0.03
 """Standard deviation of a time [s], and in mean flights: a hand's clapping has more."""
 
@@ -77,7 +80,7 @@ def times_checks(detection: TimesDetection, last: Step, fit: FitResult | None) -
         ),
     ]
     if detection.among is not None:
-        checks.append(_alone_check(detection.among.second_odds))
+        checks.append(_alone_check(detection.among.second_odds, detection.among.as_loud))
     checks += _no_rhythm(heard)
     slope = float(heard.interval95[1].mean())
     checks.append(
@@ -104,12 +107,13 @@ def times_checks(detection: TimesDetection, last: Step, fit: FitResult | None) -
     return (*checks, _simulation_check(heard, off_s(detection, last)))
 
 
-def _alone_check(second_odds: float) -> Check:
+def _alone_check(second_odds: float, as_loud: int) -> Check:
     odds = float(np.exp(np.clip(second_odds, -20.0, 20.0)))
     return Check(
         "one ball alone",
-        second_odds < _SURE_ODDS,
-        f"{odds:.3g} to 1 for a second ball at the same time (at most {np.exp(_SURE_ODDS):.0f})",
+        second_odds < _SURE_ODDS and as_loud <= _MOST_AS_LOUD,
+        f"{odds:.3g} to 1 for a second ball at the same time (at most {np.exp(_SURE_ODDS):.0f}), "
+        f"{as_loud} other knocks as loud as its own (at most {_MOST_AS_LOUD})",
         advice="let one ball bounce at a time, or choose a part with --start and --end",
     )
 

@@ -43,7 +43,7 @@ def log_likelihood(
     middles = np.array([0.0, 0.0, 0.0, _SLOPE, log_drag, priors.CONTACT_S])
     drag_sd = priors.KNOWN_DRAG if rig.drag_1_m else priors.LOG_DRAG_SD
     prior = np.array([0.0, 0.0, 0.0, _SLOPE_SD**-2, drag_sd**-2, priors.CONTACT_SD_S**-2])
-    at = middles.copy()
+    at: Array = middles.copy()
     at[:_FLAT] = ideal_ball(times_s - priors.CONTACT_S * numbers, numbers)
     left, columns = _seen(times_s, numbers, at)
     for _ in range(_ITERATIONS):
@@ -52,7 +52,7 @@ def log_likelihood(
         pull = columns.T @ left / rig.jitter_s**2 + prior * (middles - at)
         step = np.linalg.solve(normal, pull)
         step[1:3] = np.clip(step[1:3], -0.15, 0.15)
-        at = at + step
+        at = np.asarray(at + step, dtype=np.float64)
         at[2] = np.clip(at[2], 0.01, 1.3)
         at[3:5] = np.clip(at[3:5], _LEAST, _MOST)
         left, columns = _seen(times_s, numbers, at)
@@ -68,10 +68,7 @@ def log_likelihood(
     log = log - 0.5 * (len(times_s) - _FLAT) * np.log(2 * np.pi)
     most = float(log.max())
     found = most + float(np.log(np.exp(log - most).sum()))
-    return found - FLIGHT_RANGE_LOG - (len(times_s) - 1) * log_rate, float(at[2])
-
-
-FLIGHT_RANGE_LOG = float(np.log(FLIGHT_RANGE))
+    return found - float(np.log(FLIGHT_RANGE)) - (len(times_s) - 1) * log_rate, float(at[2])
 
 
 def _seen(times_s: Array, numbers: NDArray[np.int64], at: Array) -> tuple[Array, Array]:
@@ -81,7 +78,7 @@ def _seen(times_s: Array, numbers: NDArray[np.int64], at: Array) -> tuple[Array,
     count = int(numbers.max())
     speed, kept, slope, log_drag = balls.T
     hits = flights(count, np.exp(speed), kept, slope, np.exp(log_drag)).impacts_s[numbers]
-    columns = np.column_stack(
-        [np.ones(len(numbers)), (hits[:, 1:] - hits[:, :1]) / _STEPS, numbers]
-    )
+    bends = (hits[:, 1:] - hits[:, :1]) / _STEPS
+    late = numbers.astype(np.float64)
+    columns = np.column_stack([np.ones(len(numbers)), bends, late])
     return times_s - at[0] - hits[:, 0] - at[5] * numbers, columns

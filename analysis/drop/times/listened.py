@@ -47,7 +47,8 @@ class Listened:
         wide = max(-(-len(samples) // _ENVELOPE), 1)
         count = len(samples) // wide
         most = samples[: count * wide].reshape(count, wide).max(axis=1)
-        return (np.arange(count) + 0.5) * wide / self.sound.rate_hz, most.astype(np.float64)
+        middles_s = (np.arange(count, dtype=np.float64) + 0.5) * wide / self.sound.rate_hz
+        return middles_s, most.astype(np.float64)
 
 
 def listened(episode: Episode, selection: Selection) -> Listened:

@@ -123,7 +123,7 @@ class HeardBall:
 
     def _delays_s(self, numbers: NDArray[np.int64]) -> Array:
         """By the contacts since the first impact that is told."""
-        return self.contact_s * (numbers - self.told)
+        return self.contact_s * (numbers - self.told).astype(np.float64)
 
     @property
     def residuals_s(self) -> Array:
