@@ -20,7 +20,7 @@ from tunenet_logs.measured import measured
 from tunenet_logs.position_rows import ORIENTATION
 from tunenet_logs.reader import read_episode
 from tunenet_logs.sound import Sound
-from tunenet_logs.sound_notes import sound_blocks, sound_notes_of
+from tunenet_logs.sound_notes import sound_blocks, sound_notes_of, why_not_kept
 from tunenet_logs.terminal import Progress
 from tunenet_logs.writer import EpisodeWriter
 
@@ -32,6 +32,9 @@ _POSITION_COLUMNS = ("x", "y", "z")
 
 _MOST_REASONS = 3
 """Losses that are named where nothing was left to import: what one line holds."""
+
+_MOST_SAMPLES = 57_600_000
+"""Of sound, after which no further topic's is imported: two of ten minutes at 48 kHz."""
 
 Write = Callable[[EpisodeWriter], None]
 """Writes one message."""
@@ -83,8 +86,7 @@ def import_log(
     named = {*episode.signals, *episode.picture_topics, *episode.sound_topics}
     topics = _Topics({*named, *joint_topics(episode)})
     said = notes_of_frames(episode)
-    sounds = [episode.sounds(topic) for topic in dict.fromkeys(episode.sound_topics)]
-    heard = [sound for sound in sounds if sound is not None]
+    heard, unheard = _sounds(episode)
     for sound in heard:
         said |= sound_notes_of(sound)
     streams = [
@@ -112,6 +114,7 @@ def import_log(
         for channel in episode.channels
         if channel.skipped
     ]
+    left_out += unheard
     return Imported(writer.written, tuple(left_out), tuple(topics.renamed), episode.warnings)
 
 
@@ -255,6 +258,22 @@ def _spread(values: np.ndarray, places: list[int], count: int) -> np.ndarray:
     spread = np.full(count, np.nan)
     spread[places] = values
     return spread
+
+
+def _sounds(episode: Episode) -> tuple[list[Sound], list[str]]:
+    """The sounds of a log that are imported, and why others are not."""
+    heard: list[Sound] = []
+    unheard: list[str] = []
+    for topic in dict.fromkeys(episode.sound_topics):
+        if sum(len(sound.samples) for sound in heard) >= _MOST_SAMPLES:
+            unheard.append(f"{topic}: the log has more sound than an import takes")
+        elif (sound := episode.sounds(topic)) is None:
+            unheard.append(f"{topic}: holds no sound")
+        elif why := why_not_kept(sound):
+            unheard.append(f"{topic}: {why}")
+        else:
+            heard.append(sound)
+    return heard, unheard
 
 
 def _blocks(sound: Sound, topic: str) -> Iterator[tuple[int, str, Write]]:

@@ -40,11 +40,12 @@ _PIXELS_A_BYTE = 500
 """Of a log, beyond those: a camera's pictures have 20, rendered ones without noise 300."""
 
 _FEW_TOPICS = 8
-"""Cameras of a log whose pictures are read, however many other messages it has; and microphones."""
+"""Cameras of a log whose pictures are read, however many other messages it has; and of its
+microphones, no more."""
 
 _FREE_MESSAGES, _BYTES_A_MESSAGE = 5_000_000, 50
-"""That all topics of pictures, or of sound, may pass together: each is read by a pass over the
-file. Those of any log, and its bytes for each beyond."""
+"""That all picture topics together may pass: each is read by a pass over the file. Those of any
+log, and its bytes for each beyond."""
 
 _MOST_LOSSES = 5
 """Places of damage that are named one by one among the warnings; the rest is counted."""
@@ -149,7 +150,7 @@ def _episode(
     microphones = [one for one in found if one.sounds and one.skipped is None]
     channels, more = _few(found, cameras, max(_FEW_TOPICS, free), "pictures")
     doubts += more
-    channels, more = _few(channels, microphones, max(_FEW_TOPICS, free), "sound")
+    channels, more = _few(channels, microphones, _FEW_TOPICS, "sound")
     doubts += more
     words = [str(loss) for loss in losses if loss.harmless]
     words += [str(loss) for loss in lost[:_MOST_LOSSES]]

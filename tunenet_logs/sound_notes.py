@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from tunenet_logs.formats.gathered_sound import RATES_HZ
 from tunenet_logs.sound import Sound
 
 _RATE, _FILE_RATE, _ABOUT = "sound_rate_hz", "sound_file_rate_hz", "sound"
@@ -28,6 +29,16 @@ def sound_notes_of(sound: Sound) -> dict[str, str]:
         _FILE_RATE: repr(float(sound.file_rate_hz)),
     }
     return notes | ({"sound_warnings": "; ".join(sound.warnings)} if sound.warnings else {})
+
+
+def why_not_kept(sound: Sound) -> str:
+    """Why a sound cannot be written to a log, in words; "" where it can."""
+    low_hz, high_hz = RATES_HZ
+    if not len(sound.samples):
+        return "; ".join(sound.warnings) or "it holds no sound"
+    if not low_hz <= sound.rate_hz <= high_hz:
+        return f"{sound.rate_hz:.6g} samples a second on the log's clock are no sound's"
+    return ""
 
 
 def noted_rates(notes: Mapping[str, str]) -> tuple[float, float]:

@@ -21,7 +21,7 @@ from tunenet_logs.errors import CameraError, LogError
 from tunenet_logs.late_stamps import STAMPS_NOTE
 from tunenet_logs.measured_rate import FASTEST_CAMERA_HZ, FASTEST_HZ, measured_hz
 from tunenet_logs.messages import CAMERA_TOPIC
-from tunenet_logs.sound_notes import sound_notes_of
+from tunenet_logs.sound_notes import sound_notes_of, why_not_kept
 from tunenet_logs.terminal import Progress
 from tunenet_logs.writer import EpisodeWriter
 
@@ -83,11 +83,7 @@ def record_camera(
         progress.bar(None, "recording", "frame") as bar,
     ):
         reader = ReadingThread(source, limits.queue_bytes, counts=preview is None)
-        sound = source.sound() if isinstance(source, VideoFile) else None
-        blocks = None if sound is None or not len(sound.samples) else SoundBlocks(sound)
-        if blocks is not None and sound is not None:
-            for name, text in sound_notes_of(sound).items():
-                writer.note(name, text)
+        blocks = _sound_of(source, writer)
         writer.tally = partial(_tally, reader, blocks)
         loop = WritingLoop(reader, writer, limits, bar, preview, blocks)
         reader.start()
@@ -130,6 +126,18 @@ def record_camera(
         stamps=stamps,
         sound=blocks.in_words() if blocks else "",
     )
+
+
+def _sound_of(source: Source, writer: EpisodeWriter) -> SoundBlocks | None:
+    """What is to be written of a film's sound; a note of the log says what it is, or why not."""
+    sound = source.sound() if isinstance(source, VideoFile) else None
+    if sound is None:
+        return None
+    why_not = why_not_kept(sound)
+    notes = {"sound_warnings": f"not kept: {why_not}"} if why_not else sound_notes_of(sound)
+    for name, text in notes.items():
+        writer.note(name, text)
+    return None if why_not else SoundBlocks(sound)
 
 
 def _tally(reader: ReadingThread, sound: SoundBlocks | None) -> dict[str, int]:

@@ -95,6 +95,16 @@ def test_an_import_keeps_the_sound(tmp_path: Path):
         assert (after.start_ns, after.rate_hz) == (before.start_ns, before.rate_hz)
 
 
+def test_an_import_reduces_a_high_rate_once(tmp_path: Path):
+    path, log = tmp_path / "a.wav", tmp_path / "a.mcap"
+    write_clip(path, clicks([0.6], 1.0, 192_000), "pcm_s16le", rate_hz=192_000)
+    import_log(path, log)
+    before, after = sound_in(read_episode(path)), sound_in(read_episode(log))
+    assert before.rate_hz == after.rate_hz == 48_000
+    assert before.file_rate_hz == after.file_rate_hz == 192_000
+    np.testing.assert_allclose(after.samples, before.samples, atol=HALF_BIT)
+
+
 def test_a_check_says_that_a_track_is_silent(tmp_path: Path):
     path = tmp_path / "a.wav"
     write_clip(path, np.zeros(RATE_HZ, np.float32), "pcm_s16le")
@@ -114,14 +124,14 @@ def audio_fields(number: int, pcm: np.ndarray, rate_hz: int = RATE_HZ, channels:
     }
 
 
-def write_json(path: Path, blocks: list[dict]) -> Path:
+def write_json(path: Path, blocks: list[dict], step_ns: int = 0) -> Path:
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start()
         schema = writer.register_schema("foxglove.RawAudio", "jsonschema", b"{}")
         channel = writer.register_channel("/mic", "json", schema)
         for number, block in enumerate(blocks):
-            log_ns = 10**9 + number * 10**8
+            log_ns = 10**9 + number * (step_ns or 10**8)
             writer.add_message(channel, log_ns, json.dumps(block).encode(), log_ns)
         writer.finish()
     return path
@@ -199,8 +209,9 @@ def test_one_bad_message_is_left_out(tmp_path: Path):
 
 
 def test_stamps_far_apart_make_no_long_silence(tmp_path: Path):
-    blocks = [audio_fields(0, PCM[:BLOCK]), audio_fields(10**9, PCM[:BLOCK])]
-    sound = sound_in(read_episode(write_json(tmp_path / "a.mcap", blocks)))
+    blocks = [audio_fields(0, PCM[:BLOCK]), audio_fields(360_000, PCM[:BLOCK])]
+    path = write_json(tmp_path / "a.mcap", blocks, step_ns=36_000 * 10**9)
+    sound = sound_in(read_episode(path))
     assert len(sound.samples) == 600 * RATE_HZ
     assert any("10 minutes are enough" in said for said in sound.warnings)
 

@@ -33,6 +33,9 @@ _SILENT = 2e-5
 _MOST_PIECES = 1_000_000
 """That are put together."""
 
+_SILENCE = 2**20
+"""Samples of a hole that are made at once."""
+
 _FULL_SCALE = {"u1": 2.0**7, "i2": 2.0**15, "i4": 2.0**31, "i8": 2.0**63}
 """Of whole numbers, by their type."""
 
@@ -158,7 +161,8 @@ class SoundGatherer:
         self._holes += 1
         self._hole_s += late_s
         count = round(min(late_s * self._file_hz, self._most - self._count))
-        self._append(np.zeros(count, np.float32))
+        for begin in range(0, count, _SILENCE):
+            self._append(np.zeros(min(_SILENCE, count - begin), np.float32))
 
     def _append(self, mono: NDArray[np.float32]) -> None:
         most = self._most - self._count
@@ -173,6 +177,11 @@ class SoundGatherer:
         whole = len(mono) // self._every * self._every
         self._rest = mono[whole:]
         self._pieces.append(mono[:whole].reshape(-1, self._every).mean(axis=1, dtype=np.float32))
+
+
+def reduced_hz(rate_hz: float) -> float:
+    """The rate that is kept of a sound of so many samples a second."""
+    return rate_hz / max(1, ceil(rate_hz / _KEPT_HZ))
 
 
 def _mono(piece: NDArray[Any]) -> NDArray[np.float32]:

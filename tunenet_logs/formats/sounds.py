@@ -19,7 +19,7 @@ from tunenet_logs.formats.base import (
     UnusableError,
 )
 from tunenet_logs.formats.decoders import Decoders
-from tunenet_logs.formats.gathered_sound import RATES_HZ, SoundGatherer
+from tunenet_logs.formats.gathered_sound import RATES_HZ, SoundGatherer, reduced_hz
 from tunenet_logs.formats.message_types import SoundSample, SoundType, message_type_of
 from tunenet_logs.sound import Sound
 
@@ -94,7 +94,7 @@ def sound_of(
     if gathering is None:
         nothing = np.empty(0, np.float32)
         return Sound(topic, 0, 48_000.0, nothing, 48_000.0, warnings=("it holds no sound",))
-    return gathering.sound(topic, file_hz)
+    return gathering.sound(topic)
 
 
 class _Gathering:
@@ -110,8 +110,11 @@ class _Gathering:
     def __init__(self, first: SoundSample, stamp_ns: int, exact_hz: float, file_hz: float) -> None:
         self._like = (first.rate_hz, first.channels)
         is_close = abs(exact_hz - first.rate_hz) <= _SAME_HZ
+        is_told = is_close and RATES_HZ[0] <= file_hz <= RATES_HZ[1]
+        self._file_hz = file_hz if is_told else float(first.rate_hz)
         rate_hz = exact_hz if is_close else float(first.rate_hz)
-        self._gatherer = SoundGatherer(rate_hz, file_hz if is_close else 0.0)
+        rate_hz = min(max(rate_hz, RATES_HZ[0]), RATES_HZ[1])
+        self._gatherer = SoundGatherer(rate_hz, reduced_hz(file_hz) if is_told else 0.0)
         self._start_ns = stamp_ns
         self._others = 0
 
@@ -126,7 +129,7 @@ class _Gathering:
         piece = np.frombuffer(sample.data, "<i2").reshape(-1, sample.channels)
         self._gatherer.add(piece, (stamp_ns - self._start_ns) * 1e-9)
 
-    def sound(self, topic: str, file_hz: float) -> Sound:
+    def sound(self, topic: str) -> Sound:
         found = self._gatherer.result()
         said = [f"{self._others} messages of another rate were left out"] if self._others else []
         return Sound(
@@ -134,7 +137,7 @@ class _Gathering:
             start_ns=self._start_ns + round(found.start_s * 1e9),
             rate_hz=found.rate_hz,
             samples=found.samples,
-            file_rate_hz=file_hz or float(self._like[0]),
+            file_rate_hz=self._file_hz,
             channels=self._like[1],
             codec=_FORMAT,
             warnings=(*found.warnings, *said),
