@@ -13,11 +13,19 @@ from analysis.drop.bounce_fit import BounceFit, fit_bounce
 from analysis.drop.bounce_model import BounceSamples
 from analysis.drop.bounce_posterior import BallPosterior
 from analysis.drop.bounce_samples import FEWEST_SAMPLES
-from analysis.drop.film import FilmedDrop, canonical_film, find_filmed_drop, image_rows
+from analysis.drop.ear_and_eye import EarAndEye
+from analysis.drop.film import (
+    FilmedDrop,
+    canonical_film,
+    drop_by,
+    find_filmed_drop,
+    image_rows,
+)
 from analysis.drop.free_fall import Drop
 from analysis.drop.local_rebound import drop_posterior
 from analysis.drop.positions_fit import fit_positions, fitted_drop, samples_of
 from analysis.drop.rebounds import first_rebound, fitted_rebounds
+from analysis.drop.sound_beside import SoundBeside
 from analysis.estimators.base import Observation
 from analysis.motion import Units
 from analysis.record import Rebound
@@ -57,6 +65,7 @@ class DropDetection:
         units: of the log.
         others: bounces of the recording that do not follow freely, for a ball that was thrown.
         sunk_m: how far below where it bounced a thrown ball ever is in the recording [m].
+        sound: beside the positions; None where there is none.
     """
 
     physical: bool
@@ -70,6 +79,7 @@ class DropDetection:
     units: Units
     others: tuple[Drop, ...] = ()
     sunk_m: float = 0.0
+    sound: SoundBeside | None = None
     film: None = None
 
     @property
@@ -84,8 +94,22 @@ class DropDetection:
 
     @cached_property
     def posterior(self) -> BallPosterior | None:
-        """What the samples say of the ball; None where they are too few for a fit."""
+        """What is known of the ball; None where its samples are too few for a fit."""
+        if self.ear is not None:
+            return self.ear.posterior
         return drop_posterior(self.found, self.ball.drag_1_m)
+
+    @cached_property
+    def ear(self) -> EarAndEye | None:
+        """What its sound adds; None where there is none, or nothing that it could be added to."""
+        known = drop_posterior(self.found, self.ball.drag_1_m) if self.sound else None
+        if self.sound is None or known is None or not self.physical:
+            return None
+        if self.found.launched:  # an impact is looked at by itself
+            return EarAndEye(known, known, reason="the ball was thrown")
+        if self.units.rate_by != "clock":
+            return EarAndEye(known, known, reason="the log's samples have no times")
+        return self.sound.with_pictures(known)
 
     @cached_property
     def drop(self) -> Drop:
@@ -172,6 +196,7 @@ class FilmDetection:
         track_warnings: what a user should know of pictures and track, in words.
         outliers: none: what is not the ball was not tracked.
         is_timed: whether the stamps are times; where they count pictures there is no scale at all.
+        sound: beside the pictures; None where there is none.
     """
 
     physical: bool
@@ -185,6 +210,7 @@ class FilmDetection:
     track_warnings: tuple[str, ...] = ()
     outliers: int = 0
     is_timed: bool = True
+    sound: SoundBeside | None = None
 
     @property
     def uses_ball(self) -> bool:
@@ -225,15 +251,26 @@ class FilmDetection:
             return found
         return tuple(replace(one, impact_speed_m_s=None) for one in found)
 
-    @property
+    @cached_property
     def drop(self) -> Drop:
         """Its heights by the film's own scale, which is time."""
-        return self.film.drop
+        film = self.film
+        return film.drop if self.posterior is film.posterior else drop_by(film, self.posterior)
 
     @property
     def posterior(self) -> BallPosterior:
-        """What the track says of the ball."""
-        return self.film.posterior
+        """What is known of the ball."""
+        return self.film.posterior if self.ear is None else self.ear.posterior
+
+    @cached_property
+    def ear(self) -> EarAndEye | None:
+        """What its sound adds; None where there is none."""
+        if self.sound is None or not self.physical:
+            return None
+        known = self.film.posterior
+        if not self.is_timed:
+            return EarAndEye(known, known, reason="the pictures have no times")
+        return self.sound.with_pictures(known)
 
     @property
     def window(self) -> Mapping[str, float]:

@@ -212,6 +212,14 @@ def image_rows(film: FilmedDrop, start_s: float) -> Observation:
     return Observation(values[:, None], paper_axis(), "time [s]", ("y [picture heights]",))
 
 
+def drop_by(film: FilmedDrop, posterior: BallPosterior) -> Drop:
+    """Its drop by another posterior of the same pictures."""
+    along = -(film.track.places_px[film.used] @ film.down_px)
+    noise_px = film.drop.noise_m / film.drop.drop_height_m * film.projection.span
+    view = posterior.fit.projection()
+    return _drop(film.drop.seconds, along, view, noise_px, film.drop.first)
+
+
 def _usable(track: Track) -> NDArray[np.intp]:
     """Pictures in which the ball is found, each later than the one before."""
     known = np.flatnonzero(np.isfinite(track.places_px).all(axis=1))

@@ -18,6 +18,7 @@ from analysis.drop.placed_pictures import placed_by_motion
 from analysis.drop.presets import PAPER_HEIGHT_M
 from analysis.drop.problem import drop_problem
 from analysis.drop.rebounds import reported_rebounds
+from analysis.drop.sound_beside import sound_beside
 from analysis.estimators.base import FitResult, Step
 from analysis.experiment import Claim
 from analysis.selection import Hints, Selection, Subject
@@ -196,6 +197,7 @@ def _detect_in(
         taken_ns=arrivals.taken_ns,
         track_warnings=tuple(warnings),
         is_timed=is_timed,
+        sound=sound_beside(episode, pictures.start_ns),
     )
 
 

@@ -25,6 +25,7 @@ from analysis.drop.problem import drop_problem
 from analysis.drop.rebounds import reported_rebounds
 from analysis.drop.recorded_height import position_signals
 from analysis.drop.remedies import GOOD_DROP
+from analysis.drop.sound_beside import sound_beside
 from analysis.drop.times.detection import signals_in
 from analysis.drop.track_search import PositionTrack, is_something_else, moves_as_found
 from analysis.estimators.base import FitResult, Step
@@ -168,7 +169,8 @@ def _detect_in(
     found = track.part(selection.start_s, selection.end_s).detect()
     papers = () if found.physical else _paper_warnings(found.found)
     late = arrivals.warnings("samples")
-    return replace(found, warnings=(*found.warnings, *_spread(found), *papers, *late))
+    warnings = (*found.warnings, *_spread(found), *papers, *late)
+    return replace(found, warnings=warnings, sound=sound_beside(episode, track.start_ns))
 
 
 def _spread(found: DropDetection) -> list[str]:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from analysis.drop.bounce_model import BounceSamples
 from analysis.drop.bounce_posterior import ball_posterior
 from analysis.drop.bounce_samples import FEWEST_SAMPLES
+from analysis.drop.contact_clock import contact_clock
 from analysis.drop.detection import AnyDetection
 from analysis.drop.equivalent import equivalents
 from analysis.drop.projection import Projection
@@ -74,6 +75,7 @@ def simulated(detection: AnyDetection, step: Step) -> tuple[Array, Array]:
     episode = step.evaluation.episode
     signal = next(iter(episode.signals.values()))
     seconds = (signal.stamps_ns - detection.start_ns).astype(np.float64) * 1e-9
+    seconds = contact_clock(detection).to_log(seconds)
     rig = episode.info.rig
     heights_m = signal.values[:, 2] - rig["ball_diameter_m"] / 2
     unit_m = rig["drop_height_m"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from analysis.drop import observations as views
+from analysis.drop.contact_clock import contact_clock
 from analysis.drop.detection import AnyDetection
 from analysis.drop.remedies import DENSER, GOOD_DROP, RIGHT_LENGTHS
 from analysis.estimators.base import FitResult, Problem
@@ -105,6 +106,7 @@ def rig_like(detection: AnyDetection) -> tuple[DropRig, ContactSettings]:
     if missing > _MOST_MISSING * len(seconds):
         raise UsageError("its stamps are too uneven: most are close together, and some far apart")
     seconds = np.concatenate([seconds, seconds[-1] + period_s * np.arange(1, missing + 1)])
+    seconds = contact_clock(detection).to_free(seconds)
     first_s = min(float(seconds[0]), drop.release_s)
     gap_m, speed_m_s = CALIBRATED.gravity_m_s2 * drop.fall_time_s**2 / 2, 0.0
     if drop.launched:
