@@ -1,4 +1,4 @@
-"""A drop by the times or the sound of its impacts: restitution from how much shorter flights get."""
+"""A drop by the times or sound of its impacts: restitution from how much shorter flights get."""
 
 from __future__ import annotations
 

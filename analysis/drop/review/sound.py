@@ -77,6 +77,7 @@ def log_beside(
     span_s: tuple[float, float],
     impacts_s: Array | None = None,
     offset_s: float = 0.0,
+    reason: str = "",
 ) -> rrb.View | None:
     """Send a sound that was recorded beside pictures or positions, with its knocks at `height` too.
 
@@ -88,6 +89,7 @@ def log_beside(
         impacts_s: impacts that count as heard, on the pictures' clock, shape (N,); None where the
             sound is not used.
         offset_s: by which the sound is late on that clock: it is drawn so much earlier.
+        reason: why the sound is not used, in words.
 
     Returns:
         Its view; None where nothing sounds while the drop is shown.
@@ -104,9 +106,10 @@ def log_beside(
         Marks("knock", "not used", MUTED, _inside(knocks_s[~known], span_s), 4.0),
         Marks("heard", "impact heard", OBSERVED, _inside(heard_s, span_s)),
     )
-    said = "not used" if impacts_s is None else "white: impacts heard"
-    late = "" if impacts_s is None else f", moved by {-1000 * offset_s:+.0f} ms"
-    view = log_sound(stream, sound, begin_s, span_s, marks, f"{said}{late}")
+    said = f"not used: {reason}" if reason else "not used"
+    if impacts_s is not None:
+        said = f"{-1000 * offset_s:+.0f} ms, white: impacts heard"
+    view = log_sound(stream, sound, begin_s, span_s, marks, said)
     if view is not None:
         log_on_table(stream, marks)
     return view
@@ -187,9 +190,9 @@ def envelope(sound: Sound, span_s: tuple[float, float]) -> tuple[Array, Array]:
     count = len(samples) // wide
     most = samples[: count * wide].reshape(count, wide).max(axis=1, initial=0.0)
     with np.errstate(divide="ignore"):
-        levels_db = 20 * np.log10(most.astype(np.float64))
+        levels_db: Array = 20 * np.log10(most.astype(np.float64))
     seconds = (first + (np.arange(count) + 0.5) * wide) / sound.rate_hz
-    return seconds, np.asarray(levels_db, np.float64)
+    return seconds, levels_db
 
 
 def _piece(sound: Sound, span_s: tuple[float, float]) -> Sound | None:

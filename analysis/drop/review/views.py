@@ -10,6 +10,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from analysis.drop.checks import MOST_EXCESS_PERCENT
+from analysis.drop.detection import AnyDetection
 from analysis.drop.review.bounces import bounce_view, log_bounces
 from analysis.drop.review.film import log_film
 from analysis.drop.review.review_data import ReviewData, review_data
@@ -156,7 +157,14 @@ def _log_sound(stream: rr.RecordingStream, tuning: Tuning, data: ReviewData) -> 
     sound = sound_of(tuning.episode)
     if sound is None:
         return None
-    return log_beside(stream, sound, tuning.detection.start_ns, data.shown_s)
+    detection: AnyDetection = tuning.detection
+    ear = detection.ear
+    touches, offset_s = (None, None) if ear is None else (ear.touches, ear.offset_s)
+    if touches is None or offset_s is None:
+        reason = "" if ear is None else ear.reason
+        return log_beside(stream, sound, detection.start_ns, data.shown_s, reason=reason)
+    impacts_s = touches.times_s - offset_s
+    return log_beside(stream, sound, detection.start_ns, data.shown_s, impacts_s, offset_s)
 
 
 def _log_limit(stream: rr.RecordingStream, data: ReviewData, limit_mm: float) -> None:
