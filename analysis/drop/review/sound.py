@@ -24,8 +24,8 @@ _RATE_HZ = 250.0
 _MOST = 30_000
 """Points of an envelope: two minutes of sound at that rate."""
 
-_DEEP_DB = 70.0
-"""Below the loudest sample: what is softer is drawn there."""
+_DEEP_DB = 45.0
+"""Below the loudest sample: what is softer is drawn there, so that the axis has its ticks."""
 
 _LOUD_S = 0.01
 """After a knock's onset, in which its mark's level is looked for."""
@@ -104,11 +104,12 @@ def log_beside(
     known = np.abs(knocks_s[:, None] - heard_s).min(axis=1, initial=np.inf) < _NEAR_S
     marks = (
         Marks("knock", "not used", MUTED, _inside(knocks_s[~known], span_s), 4.0),
-        Marks("heard", "impact heard", OBSERVED, _inside(heard_s, span_s)),
+        Marks("touch", "impact heard", OBSERVED, _inside(heard_s, span_s), 4.0),  # over "impact"
     )
     said = f"not used: {reason}" if reason else "not used"
     if impacts_s is not None:
-        said = f"{-1000 * offset_s:+.0f} ms, white: impacts heard"
+        earlier = "earlier" if offset_s >= 0 else "later"
+        said = f"drawn {1000 * abs(offset_s):.0f} ms {earlier}, white: heard"
     view = log_sound(stream, sound, begin_s, span_s, marks, said)
     if view is not None:
         log_on_table(stream, marks)
@@ -153,7 +154,7 @@ def log_sound(
         _log_marks(stream, "sound", one, _at(one.seconds, seconds, levels_db))
     return rrb.TimeSeriesView(
         origin="/sound",
-        name=f"sound [dB of full scale], {said}",
+        name=f"sound [dBFS] {said}",
         axis_x=time_axis(*span_s),
         axis_y=rrb.ScalarAxis(range=ticked(low_db, max(loudest_db, low_db + 1.0) + 3.0)),
         plot_legend=rrb.PlotLegend(visible=False),
@@ -190,9 +191,9 @@ def envelope(sound: Sound, span_s: tuple[float, float]) -> tuple[Array, Array]:
     count = len(samples) // wide
     most = samples[: count * wide].reshape(count, wide).max(axis=1, initial=0.0)
     with np.errstate(divide="ignore"):
-        levels_db: Array = 20 * np.log10(most.astype(np.float64))
-    seconds = (first + (np.arange(count) + 0.5) * wide) / sound.rate_hz
-    return seconds, levels_db
+        levels_db = 20 * np.log10(most.astype(np.float64))
+    middles = first + (np.arange(count, dtype=np.float64) + 0.5) * wide
+    return middles / sound.rate_hz, levels_db
 
 
 def _piece(sound: Sound, span_s: tuple[float, float]) -> Sound | None:

@@ -16,6 +16,9 @@ from analysis.review.drawing import MUTED, OBSERVED, Color, ramp, send_scalars
 NOT_OURS: Color = (235, 95, 75)
 """Of times that are no impacts."""
 
+_EDGE = 0.02
+"""Of what is shown, before it: or the first mark would be cut."""
+
 _MS = 1000.0
 
 
@@ -54,6 +57,7 @@ def log_times(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
     ends_s = seconds[[0, -1]]
     send_scalars(stream, "residual/jitter", ends_s, np.array([[jitter_ms, -jitter_ms]] * 2))
     begin_s, end_s = float(min(seconds[0], heard.times_s[0])), float(seconds[-1])
+    begin_s -= _EDGE * (end_s - begin_s)
     shown = time_axis(begin_s, end_s)
     most_m = float(heights_m.max())
     height_view = rrb.TimeSeriesView(
