@@ -153,7 +153,9 @@ def _write(name: Path, tuning: Tuning, record: Record, writing: Writing) -> Path
     review, episode = None, tuning.episode
     if record.verdict not in writing.reviewed:
         recording.unlink(missing_ok=True)  # of the tuning that this one replaces
-    elif episode is not None and (episode.signals or episode.picture_topics):
+    elif episode is not None and (
+        episode.signals or episode.picture_topics or episode.sound_topics
+    ):
         review = recording
         with replacing(review) as unfinished:
             write_review(tuning, record, unfinished)

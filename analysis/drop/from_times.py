@@ -122,11 +122,12 @@ class DropFromTimes:
 
     def review(self, stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container | None:
         """See `Experiment.review`."""
+        from analysis.drop.review.refused_sound import log_refused_sound
         from analysis.drop.review.refused_times import log_refused_times
         from analysis.drop.review.times import log_times
 
         if tuning.detection is None or tuning.trace is None:
-            return log_refused_times(stream, tuning)
+            return log_refused_times(stream, tuning) or log_refused_sound(stream, tuning)
         return log_times(stream, tuning)
 
 

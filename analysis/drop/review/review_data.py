@@ -116,6 +116,11 @@ class ReviewData:
     bounces: tuple[Rebound, ...] = ()
     interval95: tuple[float, float] | None = None
 
+    @property
+    def shown_s(self) -> tuple[float, float]:
+        """First and last moment of the plots, on the log's time."""
+        return float(self.observed.seconds[0]), self.seen_s
+
 
 def review_data(tuning: Tuning) -> ReviewData:
     """What the review of a tuning shows that found a drop."""

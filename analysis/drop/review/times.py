@@ -6,14 +6,18 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from analysis.drop.review.sound import Marks, log_on_table, log_sound, time_axis
 from analysis.drop.times.checks import off_s
 from analysis.drop.times.detection import TimesDetection
 from analysis.drop.times.motion import simulated_m
 from analysis.record import Tuning
 from analysis.review.drawing import MUTED, OBSERVED, Color, ramp, send_scalars
 
-_NOT_OURS: Color = (235, 95, 75)
+NOT_OURS: Color = (235, 95, 75)
 """Of times that are no impacts."""
+
+_EDGE = 0.02
+"""Of what is shown, before it: or the first mark would be cut."""
 
 _MS = 1000.0
 
@@ -30,21 +34,19 @@ def log_times(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
     )
     stream.log("height/simulated", line, static=True)
     send_scalars(stream, "height/simulated", seconds, heights_m)
-    _points(stream, "height/heard", heard.times_s, "impact heard", OBSERVED)
-    _points(
-        stream,
-        "height/noise",
-        np.setdiff1d(detection.times_s, heard.times_s),
-        "not its impact",
-        _NOT_OURS,
-    )
+    others_s = np.setdiff1d(detection.times_s, heard.times_s)
     missed = np.setdiff1d(np.arange(int(heard.numbers.max()) + 1), heard.numbers)
-    _points(stream, "height/missed", heard.predicted_s[missed], "impact not heard", MUTED)
+    marks = (
+        Marks("noise", "not its impact", NOT_OURS, others_s),
+        Marks("missed", "impact not heard", MUTED, heard.predicted_s[missed]),
+        Marks("heard", "impact heard", OBSERVED, heard.times_s),
+    )
+    log_on_table(stream, marks)
     off_ms = _MS * off_s(detection, last)
     told_s = heard.predicted_s[heard.told :]
     known = np.isfinite(off_ms)
-    marks = rr.SeriesPoints(colors=[color], names=["simulated - heard"], marker_sizes=[5.0])
-    stream.log("residual/impacts", marks, static=True)
+    dots = rr.SeriesPoints(colors=[color], names=["simulated - heard"], marker_sizes=[5.0])
+    stream.log("residual/impacts", dots, static=True)
     send_scalars(stream, "residual/impacts", told_s[known], off_ms[known])
     reach_ms = 1.3 * max(float(np.abs(off_ms[known]).max(initial=0.0)), 2 * _MS * heard.jitter_s)
     jitter_ms = _MS * heard.jitter_s
@@ -55,12 +57,8 @@ def log_times(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
     ends_s = seconds[[0, -1]]
     send_scalars(stream, "residual/jitter", ends_s, np.array([[jitter_ms, -jitter_ms]] * 2))
     begin_s, end_s = float(min(seconds[0], heard.times_s[0])), float(seconds[-1])
-    shown = rrb.TimeAxis(
-        view_range=rr.TimeRange(
-            start=rrb.TimeRangeBoundary.absolute(seconds=begin_s),
-            end=rrb.TimeRangeBoundary.absolute(seconds=end_s),
-        )
-    )
+    begin_s -= _EDGE * (end_s - begin_s)
+    shown = time_axis(begin_s, end_s)
     most_m = float(heights_m.max())
     height_view = rrb.TimeSeriesView(
         origin="/height",
@@ -78,15 +76,10 @@ def log_times(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
     )
     result = rrb.TextDocumentView(origin="/result", name="result")
     curves = rrb.Vertical(height_view, residual_view, row_shares=[3, 2])
+    if detection.listened is not None:
+        said = "white: its impacts, red: other knocks"
+        sound = detection.listened.sound
+        sound_view = log_sound(stream, sound, 0.0, (begin_s, end_s), marks, said)
+        if sound_view is not None:
+            curves = rrb.Vertical(height_view, sound_view, residual_view, row_shares=[5, 4, 3])
     return rrb.Horizontal(curves, result, column_shares=[3, 2])
-
-
-def _points(
-    stream: rr.RecordingStream, entity: str, seconds: np.ndarray, name: str, color: Color
-) -> None:
-    """Diamonds on the table; nothing where there are none."""
-    if not len(seconds):
-        return
-    style = rr.SeriesPoints(colors=[color], names=[name], markers=["diamond"], marker_sizes=[6.0])
-    stream.log(entity, style, static=True)
-    send_scalars(stream, entity, seconds, np.zeros(len(seconds)))

@@ -10,9 +10,11 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from analysis.drop.checks import MOST_EXCESS_PERCENT
+from analysis.drop.detection import AnyDetection
 from analysis.drop.review.bounces import bounce_view, log_bounces
 from analysis.drop.review.film import log_film
 from analysis.drop.review.review_data import ReviewData, review_data
+from analysis.drop.review.sound import log_beside, sound_of, time_axis
 from analysis.record import Tuning
 from analysis.review.drawing import (
     GROUND,
@@ -74,8 +76,11 @@ def log_drop(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
         interval95=data.interval95,
     )
     height_view, residual_view = _log_plots(stream, data)
+    sound_view = _log_sound(stream, tuning, data)
+    sounds = [] if sound_view is None else [sound_view]
     curves = rrb.Vertical(
-        _log_scene(stream, data), height_view, residual_view, row_shares=[4, 4, 3]
+        *(_log_scene(stream, data), height_view, *sounds, residual_view),
+        row_shares=[4, 4, *[3.0] * len(sounds), 3],
     )
     height_chart = _log_height_chart(stream, data)
     log_iterates(stream, iterates, float(data.observed.seconds[0]))
@@ -126,12 +131,7 @@ def _log_plots(stream: rr.RecordingStream, data: ReviewData) -> tuple[rrb.View, 
     stream.log("height/impact", mark, static=True)
     send_scalars(stream, "height/impact", data.impacts_s, np.zeros(len(data.impacts_s)))
     height_m = data.drop_height_m
-    shown = rrb.TimeAxis(
-        view_range=rr.TimeRange(
-            start=rrb.TimeRangeBoundary.absolute(seconds=float(data.observed.seconds[0])),
-            end=rrb.TimeRangeBoundary.absolute(seconds=data.seen_s),
-        )
-    )
+    shown = time_axis(*data.shown_s)
     height_view = rrb.TimeSeriesView(
         origin="/height",
         name="height [m]: observed white, iterations cold to warm",
@@ -150,6 +150,21 @@ def _log_plots(stream: rr.RecordingStream, data: ReviewData) -> tuple[rrb.View, 
         plot_legend=rrb.PlotLegend(visible=False),
     )
     return height_view, residual_view
+
+
+def _log_sound(stream: rr.RecordingStream, tuning: Tuning, data: ReviewData) -> rrb.View | None:
+    """What was recorded beside the ball; None where nothing was, or nothing sounds."""
+    sound = sound_of(tuning.episode)
+    if sound is None:
+        return None
+    detection: AnyDetection = tuning.detection
+    ear = detection.ear
+    touches, offset_s = (None, None) if ear is None else (ear.touches, ear.offset_s)
+    if touches is None or offset_s is None:
+        reason = "" if ear is None else ear.reason
+        return log_beside(stream, sound, detection.start_ns, data.shown_s, reason=reason)
+    impacts_s = touches.times_s - offset_s
+    return log_beside(stream, sound, detection.start_ns, data.shown_s, impacts_s, offset_s)
 
 
 def _log_limit(stream: rr.RecordingStream, data: ReviewData, limit_mm: float) -> None:
