@@ -1,0 +1,89 @@
+"""A ball by its sound alone: from a file to a verdict."""
+
+from __future__ import annotations
+
+import wave
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from analysis.evaluation.sound.clip import SoundClip, draw_sound
+from analysis.evaluation.sound.negatives import NO_BOUNCES, draw_negative
+from analysis.record import Record, record_of
+from analysis.selection import Options, Selection
+from analysis.tuning import tune_episode
+from tunenet_logs.reader import read_episode
+
+QUIET = (7, 8, 9)
+"""Clips of a seed that nothing else uses."""
+
+
+def write_wav(path: Path, samples: NDArray[np.float32], rate_hz: float) -> Path:
+    """16 bit, by Python's own library."""
+    with wave.open(str(path), "wb") as file:
+        file.setnchannels(1)
+        file.setsampwidth(2)
+        file.setframerate(int(rate_hz))
+        file.writeframes((np.clip(samples, -1, 1) * 32767).astype("<i2").tobytes())
+    return path
+
+
+def quiet_clip(number: int) -> SoundClip:
+    return draw_sound(-7, number, background="quiet", snr_db=35.0)
+
+
+def record(path: Path, selection: Selection | None = None) -> Record:
+    options = Options() if selection is None else Options(selection=selection)
+    return record_of(tune_episode(read_episode(path), options))
+
+
+def restitution(found: Record) -> tuple[float, float, float]:
+    """Value and ends of its interval; NaN where there are none."""
+    estimate = found.estimate("restitution")
+    assert estimate is not None, found.reason
+    ends = (np.nan, np.nan) if estimate.interval95 is None else estimate.interval95
+    low, high = np.ravel(ends).tolist()
+    return float(np.ravel(estimate.value)[0]), low, high
+
+
+@pytest.mark.parametrize("number", QUIET)
+def test_a_bounce_is_tuned_by_its_sound(tmp_path: Path, number: int):
+    clip = quiet_clip(number)
+    found = record(write_wav(tmp_path / "bounce.wav", clip.samples, clip.rate_hz))
+    value, low, high = restitution(found)
+    assert found.verdict != "rejected", found.reason
+    assert abs(value - clip.restitutions[1]) < 0.01
+    assert low - 0.005 < clip.restitutions[1] < high + 0.005
+
+
+def test_the_height_tells_the_first_impact(tmp_path: Path):
+    clip = quiet_clip(QUIET[0])
+    path = write_wav(tmp_path / "bounce.wav", clip.samples, clip.rate_hz)
+    value, _, _ = restitution(record(path, Selection(height_m=clip.scene.history.height_m)))
+    assert abs(value - clip.restitutions[0]) < 0.02
+
+
+def test_silence_before_and_after_changes_nothing_but_the_times(tmp_path: Path):
+    clip = quiet_clip(QUIET[1])
+    noise = 1e-4 * np.random.default_rng(0).standard_normal(3 * int(clip.rate_hz))
+    around = np.concatenate([noise, clip.samples, noise]).astype(np.float32)
+    near = restitution(record(write_wav(tmp_path / "near.wav", clip.samples, clip.rate_hz)))
+    far = restitution(record(write_wav(tmp_path / "far.wav", around, clip.rate_hz)))
+    assert abs(near[0] - far[0]) < 0.003
+
+
+@pytest.mark.parametrize("kind", sorted(set(NO_BOUNCES) - {"two balls"}))
+def test_no_bounce_is_ok(tmp_path: Path, kind: str):
+    number = list(NO_BOUNCES).index(kind)
+    made = draw_negative(-7, number)
+    found = record(write_wav(tmp_path / "no.wav", made.samples, made.rate_hz))
+    assert found.verdict != "ok"
+    assert found.reason
+
+
+def test_silence_is_refused_with_what_to_do(tmp_path: Path):
+    found = record(write_wav(tmp_path / "no.wav", np.zeros(48_000, dtype=np.float32), 48_000))
+    assert found.verdict == "rejected"
+    assert "bounce" in (found.reason or "")
