@@ -95,7 +95,7 @@ def import_log(
         *(_blocks(sound, topics.claim(sound.name)) for sound in heard),
     ]
     if not streams:
-        raise LogError(_why_nothing(path, episode), _NAME_ANOTHER)
+        raise LogError(_why_nothing(path, episode, unheard), _NAME_ANOTHER)
     notes = {**episode.info.notes, **said, "imported_from": path.name}
     source = episode.info.source or path.name
     info = replace(episode.info, source=source, notes=notes)
@@ -108,7 +108,7 @@ def import_log(
             write(writer)
             bar.update(1)
         if not writer.accepted:
-            raise LogError(_why_nothing(path, episode), _NAME_ANOTHER)
+            raise LogError(_why_nothing(path, episode, unheard), _NAME_ANOTHER)
     left_out = [
         f"{channel.topic}: {_DRIVES if channel.drives else channel.skipped}"
         for channel in episode.channels
@@ -155,11 +155,12 @@ class _Topics:
         return topic
 
 
-def _why_nothing(path: Path, episode: Episode) -> str:
+def _why_nothing(path: Path, episode: Episode, unheard: list[str]) -> str:
     """That nothing can be imported, with what each channel is and what the reader said."""
     seen = ", ".join(map(_described, episode.channels)) or "none"
     has_reason = any(channel.skipped for channel in episode.channels)
-    said = "; ".join((episode.losses or (() if has_reason else episode.warnings))[:_MOST_REASONS])
+    known = (*episode.losses, *unheard) or (() if has_reason else episode.warnings)
+    said = "; ".join(known[:_MOST_REASONS])
     why = f" that can be used ({said})" if said else ""
     return f"{path}: holds no positions, joints, pictures or sound{why}; channels: {seen}"
 

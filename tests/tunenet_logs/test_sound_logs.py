@@ -176,7 +176,7 @@ def test_a_message_that_is_lost_leaves_a_hole(tmp_path: Path):
     kept = PCM.astype(np.float32) / 32768
     kept[3 * BLOCK : 5 * BLOCK] = 0
     np.testing.assert_array_equal(sound.samples, kept)
-    assert sound.warnings == ("1 holes in the sound, 0.20 s in all",)
+    assert sound.warnings == ("1 hole in the sound, 0.20 s in all",)
 
 
 @pytest.mark.parametrize(

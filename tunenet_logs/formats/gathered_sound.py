@@ -33,9 +33,6 @@ _SILENT = 2e-5
 _MOST_PIECES = 1_000_000
 """That are put together."""
 
-_SILENCE = 2**20
-"""Samples of a hole that are made at once."""
-
 _FULL_SCALE = {"u1": 2.0**7, "i2": 2.0**15, "i4": 2.0**31, "i8": 2.0**63}
 """Of whole numbers, by their type."""
 
@@ -138,7 +135,8 @@ class SoundGatherer:
         if self._bad:
             said.append(f"{self._bad} samples that are no numbers, or far too loud, became silence")
         if self._holes:
-            said.append(f"{self._holes} holes in the sound, {self._hole_s:.2f} s in all")
+            holes = "1 hole" if self._holes == 1 else f"{self._holes} holes"
+            said.append(f"{holes} in the sound, {self._hole_s:.2f} s in all")
         if self._backwards:
             said.append(f"the times of the sound run backwards {self._backwards} times")
         return said
@@ -161,8 +159,12 @@ class SoundGatherer:
         self._holes += 1
         self._hole_s += late_s
         count = round(min(late_s * self._file_hz, self._most - self._count))
-        for begin in range(0, count, _SILENCE):
-            self._append(np.zeros(min(_SILENCE, count - begin), np.float32))
+        begun = min(count, -len(self._rest) % self._every)  # to end a sample that was begun
+        self._append(np.zeros(begun, np.float32))
+        kept, rest = divmod(count - begun, self._every)
+        self._count += kept * self._every
+        self._pieces.append(np.zeros(kept, np.float32))
+        self._append(np.zeros(rest, np.float32))
 
     def _append(self, mono: NDArray[np.float32]) -> None:
         most = self._most - self._count
