@@ -198,7 +198,7 @@ def envelope(sound: Sound, span_s: tuple[float, float]) -> tuple[Array, Array]:
     most = np.maximum(pieces.max(axis=1), -pieces.min(axis=1))
     most = np.nan_to_num(most, posinf=0.0, neginf=0.0)
     with np.errstate(divide="ignore"):
-        levels_db = 20 * np.log10(most.astype(np.float64))
+        levels_db: Array = 20 * np.log10(most.astype(np.float64))
     middles = first + (np.arange(count, dtype=np.float64) + 0.5) * wide
     return middles / sound.rate_hz, levels_db
 

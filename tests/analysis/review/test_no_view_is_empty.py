@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,15 +10,9 @@ import numpy as np
 import pytest
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
 from analysis.cli.plan import main as plan_main
 from analysis.cli.review import main as review_main
-from analysis.evaluation.sound.alone import sound_alone
-from analysis.evaluation.sound.beside import unrelated_sound
-from analysis.evaluation.sound.clip import draw_sound
-from analysis.evaluation.sound.filmed import film_with_sound, track_with_sound, with_sound
-from analysis.evaluation.sound.negatives import NoBounce
 from analysis.record import Tuning, record_of
 from analysis.review.overview import write_overview
 from analysis.review.tuning_review import write_review
@@ -31,7 +24,6 @@ from tests.analysis.drop.test_impact_times import episode_of, impacts
 from tests.analysis.payload.test_payload import record as record_payload
 from tests.analysis.review.stored import Stored
 from tests.conftest import ROOT, film, real, record
-from tunenet_logs.reader import read_episode
 
 Make = Callable[[Path], Path]
 """Writes a review into a folder; its path."""
@@ -54,40 +46,6 @@ def filmed_drop(folder: Path) -> Path:
 
 def impact_times(folder: Path) -> Path:
     return review_of(tune_episode(episode_of(impacts(7)), Options()), folder, "ok")
-
-
-def sound_of_a_bounce(folder: Path) -> Path:
-    clip = draw_sound(11, 0, snr_db=25.0)
-    return review_of(tune_episode(sound_alone(clip), Options()), folder, "ok")
-
-
-def sound_of_one_knock(folder: Path) -> Path:
-    samples = np.random.default_rng(0).normal(0, 1e-3, 96_000).astype(np.float32)
-    samples[48_000:48_200] += 0.5 * (-1) ** np.arange(200) * np.exp(-np.arange(200) / 40)
-    heard = NoBounce("one knock", samples, 48_000, "pcm")
-    return review_of(tune_episode(sound_alone(heard), Options()), folder, "rejected")
-
-
-def film_with_its_sound(folder: Path) -> Path:
-    film_with_sound(11, 0).write(folder / "a.mp4")
-    return review_of(tune_log(folder / "a.mp4", Options()), folder, "ok")
-
-
-def track_with_its_sound(folder: Path) -> Path:
-    return review_of(tune_episode(track_with_sound(11, 0).episode(), Options()), folder, "ok")
-
-
-def track_with_speech(folder: Path) -> Path:
-    track = replace(track_with_sound(11, 0).episode(), channels=(), open_sound=None)
-    speech = unrelated_sound("speech", 4.0, 1, 0)
-    return review_of(tune_episode(with_sound(track, speech), Options()), folder, "ok")
-
-
-def film_of_a_fall_with_speech(folder: Path) -> Path:
-    order = {"restitution": 0.7, "height_m": 1.0, "seconds": 0.45, "hold_s": 0.2, "seed": 5}
-    fall = read_episode(film(folder / "a.mcap", **order))
-    speech = unrelated_sound("speech", 4.0, 1, 0)
-    return review_of(tune_episode(with_sound(fall, speech), Options()), folder, "rejected")
 
 
 def payload_without_tare(folder: Path) -> Path:
@@ -224,12 +182,6 @@ MAKERS: tuple[Make, ...] = (
     drop_from_positions,
     filmed_drop,
     impact_times,
-    sound_of_a_bounce,
-    sound_of_one_knock,
-    film_with_its_sound,
-    track_with_its_sound,
-    track_with_speech,
-    film_of_a_fall_with_speech,
     payload_without_tare,
     payload_with_tare,
     positions_without_a_drop,
@@ -268,42 +220,6 @@ def test_every_view_has_data_at_every_stop(make: Make, tmp_path: Path):
     path = make(tmp_path)
     assert len(Stored(path).views) > 1
     assert empty_views(path) == []
-
-
-def sound_views(path: Path) -> list[str]:
-    return [view.name for view in Stored(path).views if view.name.startswith("sound")]
-
-
-def marked_s(path: Path, entity: str) -> NDArray[np.float64]:
-    """When marks are, on the log's time."""
-    (times_ns, _) = Stored(path).entities[entity]["Scalars:scalars"].timed["log_time_s"]
-    return times_ns * 1e-9
-
-
-def test_marks_of_heard_impacts_lie_where_the_ball_hits(tmp_path: Path):
-    path = track_with_its_sound(tmp_path)
-    scene = track_with_sound(11, 0).clip.scene
-    for entity in ("/sound/touch", "/height/touch"):
-        heard_s = marked_s(path, entity)
-        assert len(heard_s) >= 3
-        off_s = np.abs(heard_s[:, None] - scene.touches_s).min(axis=1)
-        assert off_s.max() < 0.01
-    assert "white: heard" in sound_views(path)[0]
-
-
-def test_a_sound_that_is_not_used_says_so(tmp_path: Path):
-    path = track_with_speech(tmp_path)
-    assert "not used" in sound_views(path)[0]
-    assert "/sound/touch" not in Stored(path).entities
-
-
-def test_silence_has_no_view(tmp_path: Path):
-    track = replace(track_with_sound(11, 0).episode(), channels=(), open_sound=None)
-    silence = unrelated_sound("silence", 4.0, 1, 0)
-    assert not sound_views(review_of(tune_episode(with_sound(track, silence), Options()), tmp_path))
-    alone = review_of(tune_episode(sound_alone(silence), Options()), tmp_path, "rejected")
-    assert not sound_views(alone)
-    assert empty_views(alone) == []
 
 
 def written(path: Path, view: Any, log: Callable[[rr.RecordingStream], None]) -> Path:
