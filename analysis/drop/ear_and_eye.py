@@ -12,6 +12,7 @@ from analysis.drop.bounce_posterior import BallPosterior, ball_posterior
 from analysis.drop.heard import HeardImpacts
 from analysis.drop.heard_match import LEAST_LOG_ODDS, HeardMatch, match_onsets
 from analysis.drop.heard_touches import TOUCH_S, HeardTouches
+from analysis.motion import SoundShare
 from analysis.statistics import correlation_time
 
 _UNEVEN = 0.0005
@@ -49,6 +50,19 @@ class EarAndEye:
     def offset_s(self) -> float | None:
         """By how much the sound is late; None where it is not used."""
         return None if self.touches is None else float(self.posterior.fit.unknowns[OFFSET])
+
+    @property
+    def share(self) -> SoundShare:
+        """What a record keeps of it."""
+        low, high = self.pictures.interval95[0].tolist()
+        return SoundShare(
+            0 if self.match is None else self.match.impacts,
+            0 if self.touches is None else len(self.touches.numbers),
+            self.offset_s,
+            self.reason,
+            float(self.pictures.values[0]),
+            (low, high),
+        )
 
 
 def with_sound(pictures: BallPosterior, heard: HeardImpacts) -> EarAndEye:

@@ -61,12 +61,14 @@ class HeardMatch:
         offset_s: by how much they are later than the pictures have them.
         log_odds: see above.
         onsets: how many there are in all, while the ball bounces.
+        impacts: that the pictures foretell.
     """
 
     touches: HeardTouches
     offset_s: float
     log_odds: float
     onsets: int
+    impacts: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,7 +168,7 @@ def _from_pair(
     numbers, onsets = np.array(pairs).T
     offset_s = float(np.median(heard.times_s[onsets] - impacts.times_s[numbers]))
     touches = HeardTouches(numbers, heard.times_s[onsets], sds_s[onsets])
-    return HeardMatch(touches, offset_s, float(log_odds), len(heard.times_s)), pairs
+    return HeardMatch(touches, offset_s, float(log_odds), len(heard.times_s), len(times_s)), pairs
 
 
 def _own_log_odds(heard: HeardImpacts, onset: int) -> float:
