@@ -61,14 +61,12 @@ class HeardMatch:
         offset_s: by how much they are later than the pictures have them.
         log_odds: see above.
         onsets: how many there are in all, while the ball bounces.
-        impacts: that the pictures foretell.
     """
 
     touches: HeardTouches
     offset_s: float
     log_odds: float
     onsets: int
-    impacts: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,20 +103,19 @@ def foretold(fit: BounceFit) -> ForetoldImpacts:
     return ForetoldImpacts(times_s, covariance)
 
 
-def match_onsets(fit: BounceFit, heard: HeardImpacts) -> HeardMatch | None:
+def match_onsets(impacts: ForetoldImpacts, heard: HeardImpacts) -> HeardMatch | None:
     """The likeliest of all matches; None where too few onsets fit.
 
     Args:
-        fit: to the pictures.
-        heard: on the clock of its samples.
+        impacts: by the pictures, three or more.
+        heard: on their clock.
     """
-    impacts = foretold(fit)
     first_s, last_s = impacts.times_s[[0, -1]]
     near = heard.times_s > first_s - FARTHEST_OFFSET_S
     near &= heard.times_s < last_s + FARTHEST_OFFSET_S
     heard = heard.only(near)
     count = len(heard.times_s)
-    if not FEWEST_HEARD <= count <= _MOST_ONSETS or len(impacts.times_s) < FEWEST_HEARD:
+    if not FEWEST_HEARD <= count <= _MOST_ONSETS:
         return None
     rate_hz = max(count / float(last_s - first_s + 2 * FARTHEST_OFFSET_S), _LEAST_RATE_HZ)
     offsets_s = heard.times_s - impacts.times_s[:, None]
@@ -168,7 +165,7 @@ def _from_pair(
     numbers, onsets = np.array(pairs).T
     offset_s = float(np.median(heard.times_s[onsets] - impacts.times_s[numbers]))
     touches = HeardTouches(numbers, heard.times_s[onsets], sds_s[onsets])
-    return HeardMatch(touches, offset_s, float(log_odds), len(heard.times_s), len(times_s)), pairs
+    return HeardMatch(touches, offset_s, float(log_odds), len(heard.times_s)), pairs
 
 
 def _own_log_odds(heard: HeardImpacts, onset: int) -> float:
