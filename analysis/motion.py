@@ -128,6 +128,32 @@ class Units:
         return self.length_m is not None and self.rate_hz is not None and not self.doubt
 
 
+@dataclass(frozen=True)
+class SoundShare:
+    """What sound adds to pictures, or to positions, of a ball.
+
+    Attributes:
+        impacts: of the ball that are seen; 0 where its sound was not compared with them.
+        heard: of these, those in the fit; 0 where the sound is not used.
+        offset_s: by how much it is later than what is seen [s]; None where it is not used.
+        reason: why it is not used; "" where it is.
+        restitution: without it.
+        interval95: of that.
+    """
+
+    impacts: int
+    heard: int
+    offset_s: float | None
+    reason: str
+    restitution: float
+    interval95: tuple[float, float]
+
+    @property
+    def used(self) -> bool:
+        """Whether the values are by sound, too."""
+        return not self.reason
+
+
 @dataclass(frozen=True, eq=False)
 class Motion:
     """The tuned simulator's motion beside the observed one.
@@ -139,6 +165,7 @@ class Motion:
         untold: what the log does not tell of the parameters, in words.
         unknown: parameters that need units which the log does not tell, by name.
         units: of the log; None where an experiment's log names them always.
+        sound: what was heard of it, too; None where there is no sound beside it.
     """
 
     curves: Curves | None = None
@@ -147,3 +174,4 @@ class Motion:
     untold: tuple[str, ...] = ()
     unknown: tuple[str, ...] = ()
     units: Units | None = None
+    sound: SoundShare | None = None

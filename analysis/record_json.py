@@ -23,6 +23,7 @@ from analysis.motion import (
     Units,
 )
 from analysis.record import Estimate, Interval, Provenance, Rebound, Record
+from analysis.sound_json import read_sound, sound_fields
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import LogError
 from tunenet_logs.small_files import parse_json, read_small_file
@@ -76,6 +77,7 @@ def record_fields(record: Record) -> dict[str, Any]:
         and {**asdict(motion.equivalents), "speeds": motion.equivalents.first.speeds_m_s},
         "untold": motion.untold,
         "units": motion.units and _units(motion.units),
+        "sound": motion.sound and sound_fields(motion.sound),
         "cross_check": cross
         and {name: value for name, value in asdict(cross).items() if name != "advice"},
         "checks": [
@@ -156,13 +158,11 @@ def read_record(path: Path) -> Record:
     try:
         return record_from(fields)
     except LookupError as error:
-        raise LogError(
-            f"{path}: {short_name(error)} is missing in it; tune the log again"
-        ) from error
+        why = f"{short_name(error)} is missing in it"
+        raise LogError(f"{path}: {why}; tune the log again") from error
     except (ValueError, TypeError, AttributeError, ArithmeticError) as error:
-        raise LogError(
-            f"{path}: {short_name(error, _MOST_CHARACTERS)}; tune the log again"
-        ) from error
+        why = short_name(error, _MOST_CHARACTERS)
+        raise LogError(f"{path}: {why}; tune the log again") from error
 
 
 def _provenance_fields(provenance: Provenance) -> dict[str, Any]:
@@ -246,6 +246,7 @@ def record_from(fields: Mapping[str, Any]) -> Record:
                 if known["value"] is None
             ),
             _optional(_read_units, fields.get("units")),
+            _optional(read_sound, fields.get("sound")),
         ),
     )
 

@@ -124,6 +124,7 @@ def _lines_below(row: Row) -> list[str]:
     lines = [extra_words(known) for known in record.estimates[1:] if isinstance(known.value, tuple)]
     if record.estimates:
         lines += [*filter(None, [equivalent_words(record)]), *record.motion.untold]
+        lines += filter(None, [sound_words(record)])
     if record.reason:
         lines.append(one_line(f"{record.verdict}: {record.reason}"))
     if record.estimates and not record.physical:
@@ -231,6 +232,22 @@ def equivalent_words(record: Record) -> str:
         f"without air: {known.first.restitution:.3f} for the first rebound "
         f"({known.first.rms_percent:.1f} % rms), {known.all.restitution:.3f} for all "
         f"({known.all.rms_percent:.1f} %)"
+    )
+
+
+def sound_words(record: Record) -> str:
+    """What a sound added to what is seen, or why nothing; "" where there is none."""
+    sound = record.motion.sound
+    if sound is None:
+        return ""
+    if sound.offset_s is None:
+        return f"sound: not used: {sound.reason}"
+    side = "after" if sound.offset_s >= 0 else "before"
+    ends = record.estimates[0].interval95 if record.estimates else None
+    now = "" if ends is None else f", {interval_words(*map(float, np.ravel(ends)))} with it"
+    return (
+        f"sound: {sound.heard} of {sound.impacts} impacts heard, {1000 * abs(sound.offset_s):.1f} "
+        f"ms {side} the pictures; interval {interval_words(*sound.interval95)} without it{now}"
     )
 
 

@@ -1,4 +1,4 @@
-"""The second estimate beside a drop's: by curves of time, without a law and without a camera."""
+"""The second estimate beside a drop's: by its sound, or by curves of time, without a camera."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ import numpy as np
 
 from analysis.checks import CrossCheck
 from analysis.drop.bounce_fit import BounceFit
+from analysis.drop.bounce_model import TOUCH
 from analysis.drop.detection import DISAGREEMENT, AnyDetection, FilmDetection
+from analysis.drop.ear_and_eye import EarAndEye
 from analysis.drop.free_fall import Drop
 from analysis.drop.impact import Indices, meet
 from analysis.drop.rebounds import flight_ratio
@@ -25,6 +27,9 @@ def flight_cross_check(detection: AnyDetection, estimate: Array) -> CrossCheck |
     if not detection.physical or detection.posterior is None:
         return None
     fit, value = detection.posterior.fit, float(estimate[0])
+    by_ear = None if detection.ear is None else _by_ear(detection.ear, value)
+    if by_ear is not None:
+        return by_ear
     ratio = flight_ratio(fit)
     if ratio is not None:
         margin = _AGREEMENT if detection.film is None else _AGREEMENT_IN_PICTURE
@@ -41,6 +46,35 @@ def flight_cross_check(detection: AnyDetection, estimate: Array) -> CrossCheck |
     if isinstance(detection, FilmDetection):
         return None
     return _by_speeds(detection.found, fit, value)
+
+
+def _by_ear(ear: EarAndEye, value: float) -> CrossCheck | None:
+    """Two flights as they are heard, beside those of the ball that the pictures alone show.
+
+    None where no three impacts in a row were heard. What a contact lasts is the fit's to both.
+    """
+    if ear.touches is None or ear.impacts is None:
+        return None
+    numbers = ear.touches.numbers
+    in_a_row = np.flatnonzero(numbers[2:] - numbers[:-2] == 2)
+    if not len(in_a_row):
+        return None
+    three = slice(int(in_a_row[0]), int(in_a_row[0]) + 3)
+    which = numbers[three]
+    heard_s = np.diff(ear.touches.times_s[three])
+    seen_s = np.diff(ear.impacts.times_s[which]) + ear.posterior.fit.unknowns[TOUCH]
+    off = float(np.log(heard_s[1] / heard_s[0]) - np.log(seen_s[1] / seen_s[0]))
+    slopes = np.array([1 / seen_s[0], -1 / seen_s[0] - 1 / seen_s[1], 1 / seen_s[1]])
+    covariance = ear.impacts.covariance[np.ix_(which, which)]
+    sd = float(np.sqrt(slopes @ (covariance + np.diag(ear.touches.sds_s[three] ** 2)) @ slopes))
+    return CrossCheck.judged(
+        "two flights by ear, beside the pictures",
+        value * float(np.exp(off)),
+        value,
+        value * (_AGREEMENT + 3 * sd),
+        sd=value * sd,
+        advice=DISAGREEMENT,
+    )
 
 
 def _by_speeds(drop: Drop, fit: BounceFit, value: float) -> CrossCheck | None:

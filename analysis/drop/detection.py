@@ -14,13 +14,7 @@ from analysis.drop.bounce_model import BounceSamples
 from analysis.drop.bounce_posterior import BallPosterior
 from analysis.drop.bounce_samples import FEWEST_SAMPLES
 from analysis.drop.ear_and_eye import EarAndEye
-from analysis.drop.film import (
-    FilmedDrop,
-    canonical_film,
-    drop_by,
-    find_filmed_drop,
-    image_rows,
-)
+from analysis.drop.film import FilmedDrop, canonical_film, drop_by, find_filmed_drop, image_rows
 from analysis.drop.free_fall import Drop
 from analysis.drop.local_rebound import drop_posterior
 from analysis.drop.positions_fit import fit_positions, fitted_drop, samples_of
@@ -102,14 +96,12 @@ class DropDetection:
     @cached_property
     def ear(self) -> EarAndEye | None:
         """What its sound adds; None where there is none, or nothing that it could be added to."""
-        known = drop_posterior(self.found, self.ball.drag_1_m) if self.sound else None
-        if self.sound is None or known is None or not self.physical:
+        if self.sound is None or not self.physical:
             return None
-        if self.found.launched:  # an impact is looked at by itself
-            return EarAndEye(known, known, reason="the ball was thrown")
-        if self.units.rate_by != "clock":
-            return EarAndEye(known, known, reason="the log's samples have no times")
-        return self.sound.with_pictures(known)
+        known = drop_posterior(self.found, self.ball.drag_1_m)
+        why_not = "" if self.units.rate_by == "clock" else "the log's samples have no times"
+        why_not = "the ball was thrown" if self.found.launched else why_not
+        return None if known is None else self.sound.with_pictures(known, why_not)
 
     @cached_property
     def drop(self) -> Drop:
@@ -267,10 +259,8 @@ class FilmDetection:
         """What its sound adds; None where there is none."""
         if self.sound is None or not self.physical:
             return None
-        known = self.film.posterior
-        if not self.is_timed:
-            return EarAndEye(known, known, reason="the pictures have no times")
-        return self.sound.with_pictures(known)
+        why_not = "" if self.is_timed else "the pictures have no times"
+        return self.sound.with_pictures(self.film.posterior, why_not)
 
     @property
     def window(self) -> Mapping[str, float]:

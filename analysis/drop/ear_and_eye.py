@@ -10,8 +10,16 @@ from analysis.drop.bounce_fit import BounceFit, fit_bounce
 from analysis.drop.bounce_model import OFFSET, TOUCH
 from analysis.drop.bounce_posterior import BallPosterior, ball_posterior
 from analysis.drop.heard import HeardImpacts
-from analysis.drop.heard_match import LEAST_LOG_ODDS, HeardMatch, match_onsets
+from analysis.drop.heard_match import (
+    FEWEST_HEARD,
+    LEAST_LOG_ODDS,
+    ForetoldImpacts,
+    HeardMatch,
+    foretold,
+    match_onsets,
+)
 from analysis.drop.heard_touches import TOUCH_S, HeardTouches
+from analysis.motion import SoundShare
 from analysis.statistics import correlation_time
 
 _UNEVEN = 0.0005
@@ -23,9 +31,6 @@ _MOST_LOST = 8.0
 _LATE_SDS = 5.0
 """Standard deviations from the fit, from which on an onset is none of its impacts."""
 
-_FEWEST = 3
-"""Impacts that are left of a match."""
-
 
 @dataclass(frozen=True, eq=False)
 class EarAndEye:
@@ -34,6 +39,7 @@ class EarAndEye:
     Attributes:
         posterior: of both where the sound is used, else of the pictures.
         pictures: of the pictures alone.
+        impacts: by the pictures; None where the sound was not compared with them.
         match: the onsets that the pictures confirm; None where there are too few.
         touches: those in the fit; None where the sound is not used.
         reason: why it is not used, in words; "" where it is.
@@ -41,6 +47,7 @@ class EarAndEye:
 
     posterior: BallPosterior
     pictures: BallPosterior
+    impacts: ForetoldImpacts | None = None
     match: HeardMatch | None = None
     touches: HeardTouches | None = None
     reason: str = ""
@@ -50,6 +57,19 @@ class EarAndEye:
         """By how much the sound is late; None where it is not used."""
         return None if self.touches is None else float(self.posterior.fit.unknowns[OFFSET])
 
+    @property
+    def share(self) -> SoundShare:
+        """What a record keeps of it."""
+        low, high = self.pictures.interval95[0].tolist()
+        return SoundShare(
+            0 if self.impacts is None else len(self.impacts.times_s),
+            0 if self.touches is None else len(self.touches.numbers),
+            self.offset_s,
+            self.reason,
+            float(self.pictures.values[0]),
+            (low, high),
+        )
+
 
 def with_sound(pictures: BallPosterior, heard: HeardImpacts) -> EarAndEye:
     """The ball by its pictures and by the onsets that they confirm.
@@ -58,17 +78,21 @@ def with_sound(pictures: BallPosterior, heard: HeardImpacts) -> EarAndEye:
         pictures: what they say alone.
         heard: on the clock of their samples.
     """
-    match = match_onsets(pictures.fit, heard)
+    impacts = foretold(pictures.fit)
+    alone = EarAndEye(pictures, pictures, impacts)
+    if len(impacts.times_s) < FEWEST_HEARD:
+        return replace(alone, reason=f"fewer than {FEWEST_HEARD} impacts are seen")
+    match = match_onsets(impacts, heard)
     if match is None:
-        return EarAndEye(pictures, pictures, reason="fewer than 3 of its onsets fit the impacts")
+        reason = f"fewer than {FEWEST_HEARD} of its onsets fit the impacts"
+        return replace(alone, reason=reason)
     if match.log_odds < LEAST_LOG_ODDS:
         reason = f"{len(match.touches.numbers)} of its onsets fit the impacts, as chance has it"
-        return EarAndEye(pictures, pictures, match, reason=reason)
+        return replace(alone, match=match, reason=reason)
     fit = _joint_fit(pictures.fit, match)
     if fit is None or _lost(pictures.fit, fit) > _MOST_LOST:
-        reason = "its onsets contradict the pictures"
-        return EarAndEye(pictures, pictures, match, reason=reason)
-    return EarAndEye(ball_posterior(fit), pictures, match, fit.samples.heard)
+        return replace(alone, match=match, reason="its onsets contradict the pictures")
+    return replace(alone, posterior=ball_posterior(fit), match=match, touches=fit.samples.heard)
 
 
 def _joint_fit(fit: BounceFit, match: HeardMatch) -> BounceFit | None:
@@ -79,7 +103,7 @@ def _joint_fit(fit: BounceFit, match: HeardMatch) -> BounceFit | None:
     touches = replace(touches, sds_s=np.hypot(touches.sds_s, _UNEVEN * flights_s))
     start = fit.unknowns.copy()
     start[[OFFSET, TOUCH]] = match.offset_s, TOUCH_S
-    while len(touches.numbers) >= _FEWEST:
+    while len(touches.numbers) >= FEWEST_HEARD:
         samples = replace(fit.samples, heard=touches)
         joint = fit_bounce(samples, start, samples.unknowns, most=60)
         times_s = samples.touches_s(joint.unknowns, touches.numbers) + joint.unknowns[OFFSET]

@@ -103,20 +103,19 @@ def foretold(fit: BounceFit) -> ForetoldImpacts:
     return ForetoldImpacts(times_s, covariance)
 
 
-def match_onsets(fit: BounceFit, heard: HeardImpacts) -> HeardMatch | None:
+def match_onsets(impacts: ForetoldImpacts, heard: HeardImpacts) -> HeardMatch | None:
     """The likeliest of all matches; None where too few onsets fit.
 
     Args:
-        fit: to the pictures.
-        heard: on the clock of its samples.
+        impacts: by the pictures, three or more.
+        heard: on their clock.
     """
-    impacts = foretold(fit)
     first_s, last_s = impacts.times_s[[0, -1]]
     near = heard.times_s > first_s - FARTHEST_OFFSET_S
     near &= heard.times_s < last_s + FARTHEST_OFFSET_S
     heard = heard.only(near)
     count = len(heard.times_s)
-    if not FEWEST_HEARD <= count <= _MOST_ONSETS or len(impacts.times_s) < FEWEST_HEARD:
+    if not FEWEST_HEARD <= count <= _MOST_ONSETS:
         return None
     rate_hz = max(count / float(last_s - first_s + 2 * FARTHEST_OFFSET_S), _LEAST_RATE_HZ)
     offsets_s = heard.times_s - impacts.times_s[:, None]

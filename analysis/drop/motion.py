@@ -182,6 +182,7 @@ def tuned_motion(detection: AnyDetection, trace: Trace) -> Motion:
         untold=_untold(detection, trace),
         unknown=() if tells_speed(detection) else (DRAG.name,),
         units=detection.units,
+        sound=None if detection.ear is None else detection.ear.share,
     )
 
 

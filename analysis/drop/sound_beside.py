@@ -36,8 +36,15 @@ class SoundBeside:
     topic: str
     start_ns: int
 
-    def with_pictures(self, pictures: BallPosterior) -> EarAndEye:
-        """What the sound adds to what is seen of the ball."""
+    def with_pictures(self, pictures: BallPosterior, why_not: str = "") -> EarAndEye:
+        """What the sound adds to what is seen of the ball.
+
+        Args:
+            pictures: that, or what positions say.
+            why_not: why nothing can be added to it, in words; "" where it can.
+        """
+        if why_not:
+            return EarAndEye(pictures, pictures, reason=why_not)
         try:
             sound = self.episode.sounds(self.topic)
         except TuneNetError:

@@ -15,6 +15,7 @@ from analysis.terminal_table import (
     interval_words,
     markdown_table,
     quantity,
+    sound_words,
 )
 from tunenet_logs.terminal import one_line, short_name
 
@@ -133,7 +134,7 @@ def _motion(record: Record) -> list[str]:
             f"height apart, rms, of which noise {fit.noise_percent:.2f}; "
             f"at worst {fit.worst_percent:.2f}"
         )
-    return [*lines, *filter(None, [equivalent_words(record)])]
+    return [*lines, *filter(None, [equivalent_words(record), sound_words(record)])]
 
 
 def _bounces(bounces: Sequence[Rebound]) -> list[str]:

@@ -12,6 +12,7 @@ import rerun.blueprint as rrb
 from analysis.drop.detection import FilmDetection
 from analysis.drop.film_search import film_impacts
 from analysis.drop.review.film import log_balls, log_pictures
+from analysis.drop.review.sound import log_beside, sound_of
 from analysis.record import Tuning
 from analysis.review.drawing import IMPACT, OBSERVED, Color, screen_radius, send_scalars
 from analysis.statistics import noise_of
@@ -65,7 +66,12 @@ def log_refused(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container | N
         ),
     )
     heights = _log_heights(stream, seconds, high_px, impacts)
-    return rrb.Vertical(video, heights, row_shares=[3, 2])
+    sound = sound_of(tuning.episode)
+    ends_s = float(all_s[0]), float(all_s[-1])
+    heard = None if sound is None else log_beside(stream, sound, found.start_ns, ends_s, ends_s[1])
+    if heard is None:
+        return rrb.Vertical(video, heights, row_shares=[3, 2])
+    return rrb.Vertical(video, heights, heard, row_shares=[4, 2, 2])
 
 
 def _without_gaps(places_px: Array) -> list[Array]:

@@ -24,6 +24,6 @@ def log_refused_sound(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Contain
             return None
         span_s, knocks_s = (0.0, sound.lasts_s), onsets(sound).times_s
     marks = (Marks("knock", "knock", IMPACT, knocks_s),)
-    said = f"red: {len(knocks_s)} knocks" if len(knocks_s) else "nothing knocks"
+    said = f"red: what knocks ({len(knocks_s)})" if len(knocks_s) else "nothing knocks"
     view = log_sound(stream, sound, 0.0, span_s, marks, said)
     return None if view is None else rrb.Vertical(view)

@@ -75,6 +75,7 @@ def log_beside(
     sound: Sound,
     start_ns: int,
     span_s: tuple[float, float],
+    last_s: float,
     impacts_s: Array | None = None,
     offset_s: float = 0.0,
     reason: str = "",
@@ -86,6 +87,7 @@ def log_beside(
         sound: as it was recorded.
         start_ns: stamp where the log's time is 0.
         span_s: first and last moment shown, on the log's time.
+        last_s: when what is seen ends, likewise: no other view has anything outside of that.
         impacts_s: impacts that count as heard, on the pictures' clock, shape (N,); None where the
             sound is not used.
         offset_s: by which the sound is late on that clock: it is drawn so much earlier.
@@ -110,7 +112,7 @@ def log_beside(
     if impacts_s is not None:
         earlier = "earlier" if offset_s >= 0 else "later"
         said = f"drawn {1000 * abs(offset_s):.0f} ms {earlier}, white: heard"
-    view = log_sound(stream, sound, begin_s, span_s, marks, said)
+    view = log_sound(stream, sound, begin_s, span_s, marks, said, (span_s[0], last_s))
     if view is not None:
         log_on_table(stream, marks)
     return view
@@ -123,6 +125,7 @@ def log_sound(
     span_s: tuple[float, float],
     marks: Sequence[Marks],
     said: str,
+    sent_s: tuple[float, float] = (-np.inf, np.inf),
 ) -> rrb.View | None:
     """Send the envelope and the marks on it.
 
@@ -133,12 +136,15 @@ def log_sound(
         span_s: first and last moment shown, on the log's time.
         marks: what is marked.
         said: of the marks, in the view's title.
+        sent_s: first and last moment that can be scrolled to, on the log's time.
 
     Returns:
         The view; None where nothing sounds in what is shown.
     """
     seconds, levels_db = envelope(sound, (span_s[0] - begin_s, span_s[1] - begin_s))
     seconds = seconds + begin_s
+    sent = (seconds >= sent_s[0]) & (seconds <= sent_s[1])
+    seconds, levels_db = seconds[sent], levels_db[sent]
     shown = (seconds >= span_s[0]) & (seconds <= span_s[1])
     if not np.isfinite(levels_db[shown]).any():
         return None
@@ -154,7 +160,7 @@ def log_sound(
         _log_marks(stream, "sound", one, _at(one.seconds, seconds, levels_db))
     return rrb.TimeSeriesView(
         origin="/sound",
-        name=f"sound [dBFS] {said}",
+        name=f"sound [dBFS], {said}",
         axis_x=time_axis(*span_s),
         axis_y=rrb.ScalarAxis(range=ticked(low_db, max(loudest_db, low_db + 1.0) + 3.0)),
         plot_legend=rrb.PlotLegend(visible=False),
@@ -186,12 +192,13 @@ def envelope(sound: Sound, span_s: tuple[float, float]) -> tuple[Array, Array]:
     more_s = max(_MOST / _RATE_HZ - (span_s[1] - span_s[0]), 0.0) / 2
     ends = ((span_s[0] - more_s) * sound.rate_hz, (span_s[1] + more_s) * sound.rate_hz)
     first, last = (round(min(max(at, 0.0), float(len(sound.samples)))) for at in ends)
-    samples = np.abs(np.nan_to_num(sound.samples[first:last], posinf=0.0, neginf=0.0))
-    wide = max(round(sound.rate_hz / _RATE_HZ), -(-len(samples) // _MOST), 1)
-    count = len(samples) // wide
-    most = samples[: count * wide].reshape(count, wide).max(axis=1, initial=0.0)
+    wide = max(round(sound.rate_hz / _RATE_HZ), -(-(last - first) // _MOST), 1)
+    count = (last - first) // wide
+    pieces = sound.samples[first : first + count * wide].reshape(count, wide)
+    most = np.maximum(pieces.max(axis=1), -pieces.min(axis=1))
+    most = np.nan_to_num(most, posinf=0.0, neginf=0.0)
     with np.errstate(divide="ignore"):
-        levels_db = 20 * np.log10(most.astype(np.float64))
+        levels_db: Array = 20 * np.log10(most.astype(np.float64))
     middles = first + (np.arange(count, dtype=np.float64) + 0.5) * wide
     return middles / sound.rate_hz, levels_db
 

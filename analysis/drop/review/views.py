@@ -158,13 +158,12 @@ def _log_sound(stream: rr.RecordingStream, tuning: Tuning, data: ReviewData) -> 
     if sound is None:
         return None
     detection: AnyDetection = tuning.detection
+    place = detection.start_ns, data.shown_s, float(data.observed.seconds[-1])
     ear = detection.ear
-    touches, offset_s = (None, None) if ear is None else (ear.touches, ear.offset_s)
-    if touches is None or offset_s is None:
-        reason = "" if ear is None else ear.reason
-        return log_beside(stream, sound, detection.start_ns, data.shown_s, reason=reason)
-    impacts_s = touches.times_s - offset_s
-    return log_beside(stream, sound, detection.start_ns, data.shown_s, impacts_s, offset_s)
+    if ear is None or ear.touches is None or ear.offset_s is None:
+        return log_beside(stream, sound, *place, reason="" if ear is None else ear.reason)
+    impacts_s = ear.touches.times_s - ear.offset_s
+    return log_beside(stream, sound, *place, impacts_s, ear.offset_s)
 
 
 def _log_limit(stream: rr.RecordingStream, data: ReviewData, limit_mm: float) -> None:
