@@ -20,6 +20,9 @@ from tunenet_logs.sound import Sound
 _EDGES_HZ = (150.0, 400.0, 800.0, 1600.0, 3200.0, 6400.0, 12_800.0, 20_000.0)
 """Of the bands."""
 
+_LEAST_RATE_HZ = 2000.0
+"""Of a sound in which a knock is told from what is not."""
+
 _HOP_S, _FRAME_S = 0.001, 0.002
 """Between the moments at which bands are looked at, and how much of the sound each sees."""
 
@@ -92,11 +95,11 @@ class Onsets:
 def onsets(sound: Sound) -> Onsets:
     """All knocks; the times are on the sound's own clock, by `rate_hz`."""
     samples = np.nan_to_num(sound.samples.astype(np.float64), posinf=0.0, neginf=0.0)
-    powers = _band_powers(samples, sound.file_rate_hz)
     hop = _hop(sound.file_rate_hz)
-    if powers.shape[1] < _BEFORE + _GUARD + _AFTER:
+    if len(samples) < (_BEFORE + _GUARD + _AFTER + 2) * hop or sound.file_rate_hz < _LEAST_RATE_HZ:
         none = np.zeros(0)
-        return Onsets(none, none, none, none, np.zeros((0, len(powers))))
+        return Onsets(none, none, none, none, np.zeros((0, 0)))
+    powers = _band_powers(samples, sound.file_rate_hz)
     rises, before, after = _rises(powers)
     frames = _peaks(rises.mean(axis=0))
     picked = [_moment(samples, frame * hop, sound.file_rate_hz) for frame in frames.tolist()]
@@ -138,12 +141,8 @@ def _band_powers(samples: Array, rate_hz: float) -> Array:
         count = len(band) // hop
         short = band[: count * hop].reshape(count, hop).mean(axis=1)
         found.append(short)
-    if not found:
-        return np.zeros((0, 0))
     powers = np.array(found)
     sums = np.cumsum(np.pad(powers, ((0, 0), (1, 0))), axis=1)
-    if powers.shape[1] < wide:
-        return powers[:, :0]
     return (sums[:, wide:] - sums[:, :-wide]) / wide
 
 

@@ -19,6 +19,7 @@ from analysis.drop.times.likelihood import log_likelihood
 from analysis.drop.times.missing_impacts import MISSED
 from analysis.drop.times.posterior import MOST_TIMES, Besides, HeardBall, heard_ball
 from analysis.listening.onsets import Onsets
+from tunenet_logs.arrays import Array
 
 _FITTED = 24
 """Chains that are fitted."""
@@ -41,6 +42,12 @@ _ECHO_SPREAD_S = 0.002
 _AS_LOUD_DB = 6.0
 """Below the ball's own, from which on another knock is as loud."""
 
+_SOFTENING_DB, _SOFTENING_SD_DB, _BEAT_SD_DB = 28.0, 8.0, 5.0
+"""For ten times the speed: of a ball's knocks, usually; their spread; that of a beat's, about 0."""
+
+_LOUDNESS_SD_DB, _LOUDNESS_KNOWN = 2.0, 2
+"""Usual scatter of a knock's loudness, and how many knocks that counts for."""
+
 _TRIED = 6
 """Knocks, for one impact."""
 
@@ -54,12 +61,15 @@ class BallAmong:
         which: indices of its impacts among the onsets, shape (N,).
         second_odds: logarithm of the odds for a second ball while this one bounces.
         as_loud: other knocks meanwhile that are as loud as its own.
+        softening_odds: logarithm of the odds that its knocks soften as a ball's do, against knocks
+            that stay as loud.
     """
 
     ball: HeardBall
     which: NDArray[np.int64]
     second_odds: float
     as_loud: int
+    softening_odds: float
 
 
 def ball_among(heard: Onsets, lasts_s: float, rig: Rig) -> BallAmong | None:
@@ -81,7 +91,13 @@ def ball_among(heard: Onsets, lasts_s: float, rig: Rig) -> BallAmong | None:
     if ball is None:
         return None
     kept = which[ball.reading.heard]
-    return BallAmong(ball, kept, _second_odds(judge, kept), _as_loud(heard, kept))
+    return BallAmong(
+        ball,
+        kept,
+        _second_odds(judge, kept),
+        _as_loud(heard, kept),
+        _softening_odds(ball, heard.loudness_db[kept]),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,6 +193,24 @@ def _changes(heard: Onsets, chain: KnockChain) -> list[KnockChain]:
                 KnockChain(np.insert(which, place, one), np.insert(numbers, place, number), 0.0)
             )
     return found
+
+
+def _softening_odds(ball: HeardBall, loudness_db: Array) -> float:
+    """By the line of loudness over the logarithm of the impacts' speeds."""
+    speeds = np.log10(ball.flown.arriving_m_s[ball.numbers, 0])
+    known = np.isfinite(speeds)  # nobody hears how fast it arrives at the first
+    speeds, loudness_db = speeds[known], loudness_db[known]
+    off = speeds - speeds.mean()
+    spread = float(off @ off)
+    slope = float(off @ loudness_db) / spread
+    left = loudness_db - loudness_db.mean() - slope * off
+    variance = (left @ left + _LOUDNESS_KNOWN * _LOUDNESS_SD_DB**2) / (
+        len(left) - 2 + _LOUDNESS_KNOWN
+    )
+    of_ball = variance / spread + _SOFTENING_SD_DB**2
+    of_beat = variance / spread + _BEAT_SD_DB**2
+    odds = slope**2 / of_beat - (slope - _SOFTENING_DB) ** 2 / of_ball
+    return 0.5 * float(odds + np.log(of_beat / of_ball))
 
 
 def _as_loud(heard: Onsets, which: NDArray[np.int64]) -> int:

@@ -7,6 +7,7 @@ import numpy as np
 from analysis.checks import Check, CrossCheck, figures
 from analysis.drop.checks import sure_check
 from analysis.drop.detection import DISAGREEMENT
+from analysis.drop.times.ball_among import BallAmong
 from analysis.drop.times.detection import TimesDetection
 from analysis.drop.times.posterior import HeardBall
 from analysis.estimators.base import FitResult, Step
@@ -79,9 +80,11 @@ def times_checks(detection: TimesDetection, last: Step, fit: FitResult | None) -
             advice="put the microphone near the impact, and set its threshold low",
         ),
     ]
+    softening_odds = 0.0
     if detection.among is not None:
-        checks.append(_alone_check(detection.among.second_odds, detection.among.as_loud))
-    checks += _no_rhythm(heard)
+        checks += _sound_checks(detection.among)
+        softening_odds = detection.among.softening_odds
+    checks += _no_rhythm(heard, softening_odds)
     slope = float(heard.interval95[1].mean())
     checks.append(
         Check(
@@ -107,21 +110,32 @@ def times_checks(detection: TimesDetection, last: Step, fit: FitResult | None) -
     return (*checks, _simulation_check(heard, off_s(detection, last)))
 
 
-def _alone_check(second_odds: float, as_loud: int) -> Check:
-    odds = float(np.exp(np.clip(second_odds, -20.0, 20.0)))
-    return Check(
+def _sound_checks(among: BallAmong) -> tuple[Check, Check]:
+    odds, softer = np.exp(np.clip([among.second_odds, among.softening_odds], -20.0, 20.0)).tolist()
+    alone = Check(
         "one ball alone",
-        second_odds < _SURE_ODDS and as_loud <= _MOST_AS_LOUD,
+        among.second_odds < _SURE_ODDS and among.as_loud <= _MOST_AS_LOUD,
         f"{odds:.3g} to 1 for a second ball at the same time (at most {np.exp(_SURE_ODDS):.0f}), "
-        f"{as_loud} other knocks as loud as its own (at most {_MOST_AS_LOUD})",
+        f"{among.as_loud} other knocks as loud as its own (at most {_MOST_AS_LOUD})",
         advice="let one ball bounce at a time, or choose a part with --start and --end",
+        doubts_model=False,
     )
+    softens = Check(
+        "softens as a ball does",
+        among.softening_odds > 0,
+        f"{softer:.3g} to 1 against knocks that stay as loud (wanted: 1 to 1)",
+        advice="record one ball that bounces freely, and switch automatic gain off",
+    )
+    return alone, softens
 
 
-def _no_rhythm(heard: HeardBall) -> tuple[Check, Check]:
+def _no_rhythm(heard: HeardBall, softening_odds: float) -> tuple[Check, Check]:
     name, log_odds = heard.rhythm
+    log_odds = log_odds + softening_odds  # a beat keeps its loudness
     odds = float(np.exp(min(log_odds, 20.0)))
-    value, most = figures(float(heard.values[0]), _MOST_RESTITUTION, 3)
+    surely_softer = softening_odds > _SURE_ODDS
+    least = float(heard.interval95[0, 0] if surely_softer else heard.values[0])
+    value, most = figures(least, _MOST_RESTITUTION, 3)
     return (
         Check(
             "a ball rather than a rhythm",
@@ -131,7 +145,7 @@ def _no_rhythm(heard: HeardBall) -> tuple[Check, Check]:
         ),
         Check(
             "flights shorten as a ball's",
-            heard.values[0] <= _MOST_RESTITUTION,
+            least <= _MOST_RESTITUTION,
             f"each lasts {value} of the one before (at most {most}: no ball that is heard keeps "
             "more)",
             advice="record one ball that bounces freely",

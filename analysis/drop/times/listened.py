@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -12,14 +11,10 @@ from analysis.drop.times.ball_among import BallAmong, ball_among
 from analysis.drop.times.fit import Rig
 from analysis.listening.onsets import Onsets, onsets
 from analysis.selection import Selection, check_start
-from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import NotFoundError
 from tunenet_logs.sound import Sound
 from tunenet_logs.terminal import listed
-
-_ENVELOPE = 4000
-"""Moments of the envelope that a review shows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,16 +34,6 @@ class Listened:
     def ball(self, rig: Rig) -> BallAmong | None:
         """The ball that is heard best; None where nothing sounds like one."""
         return ball_among(self.knocks, self.part_s[1] - self.part_s[0], rig)
-
-    @cached_property
-    def envelope(self) -> tuple[Array, Array]:
-        """Times on the sound's clock [s] and the largest sample about each, shape (E,) each."""
-        samples = np.abs(self.sound.samples)
-        wide = max(-(-len(samples) // _ENVELOPE), 1)
-        count = len(samples) // wide
-        most = samples[: count * wide].reshape(count, wide).max(axis=1)
-        middles_s = (np.arange(count, dtype=np.float64) + 0.5) * wide / self.sound.rate_hz
-        return middles_s, most.astype(np.float64)
 
 
 def listened(episode: Episode, selection: Selection) -> Listened:

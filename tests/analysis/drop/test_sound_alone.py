@@ -61,7 +61,7 @@ def test_a_bounce_is_tuned_by_its_sound(tmp_path: Path, number: int):
 def test_the_height_tells_the_first_impact(tmp_path: Path):
     clip = quiet_clip(QUIET[0])
     path = write_wav(tmp_path / "bounce.wav", clip.samples, clip.rate_hz)
-    value, _, _ = restitution(record(path, Selection(height_m=clip.scene.history.height_m)))
+    value, _, _ = restitution(record(path, Selection(height_m=clip.scene.history.order.height_m)))
     assert abs(value - clip.restitutions[0]) < 0.02
 
 
