@@ -139,9 +139,11 @@ def _check_height(height_m: float | None) -> None:
 def _heard_in_sound(episode: Episode, selection: Selection) -> TimesDetection:
     _check_height(selection.height_m)
     heard = listened(episode, selection)
-    if len(heard.knocks) < FEWEST_IMPACTS:
+    count = len(heard.knocks)
+    if count < FEWEST_IMPACTS:
+        knocks = {0: "no knock is", 1: "1 knock is"}.get(count, f"{count} knocks are")
         raise NotFoundError(
-            f"{heard.sound.name}: {len(heard.knocks)} knocks are heard, too few for two flights",
+            f"{heard.sound.name}: {knocks} heard, too few for two flights",
             RIGHT_SOUND,
         )
     ball = completed(selection.ball, recorded_ball(episode.info))

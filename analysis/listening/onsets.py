@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tunenet_logs.arrays import Array
+from tunenet_logs.formats.gathered_sound import reduced_hz
 from tunenet_logs.sound import Sound
 
 _EDGES_HZ = (150.0, 400.0, 800.0, 1600.0, 3200.0, 6400.0, 12_800.0, 20_000.0)
@@ -95,20 +96,21 @@ class Onsets:
 def onsets(sound: Sound) -> Onsets:
     """All knocks; the times are on the sound's own clock, by `rate_hz`."""
     samples = np.nan_to_num(sound.samples.astype(np.float64), posinf=0.0, neginf=0.0)
-    hop = _hop(sound.file_rate_hz)
-    if len(samples) < (_BEFORE + _GUARD + _AFTER + 2) * hop or sound.file_rate_hz < _LEAST_RATE_HZ:
+    heard_hz = reduced_hz(sound.file_rate_hz)  # of the samples that were kept
+    hop = _hop(heard_hz)
+    if len(samples) < (_BEFORE + _GUARD + _AFTER + 2) * hop or heard_hz < _LEAST_RATE_HZ:
         none = np.zeros(0)
         return Onsets(none, none, none, none, np.zeros((0, 0)))
-    powers = _band_powers(samples, sound.file_rate_hz)
+    powers = _band_powers(samples, heard_hz)
     rises, before, after = _rises(powers)
     frames = _peaks(rises.mean(axis=0))
-    picked = [_moment(samples, frame * hop, sound.file_rate_hz) for frame in frames.tolist()]
+    picked = [_moment(samples, frame * hop, heard_hz) for frame in frames.tolist()]
     own = np.maximum(after[:, frames] - before[:, frames], 1e-12 + 0.05 * after[:, frames])
     colours_db = 10 * np.log10(own)
     at, sds = np.array(picked, dtype=np.float64).reshape(-1, 2).T
     found = Onsets(
         at / sound.rate_hz,
-        np.maximum(sds / sound.rate_hz, _LEAST_SD_S * sound.file_rate_hz / sound.rate_hz),
+        np.maximum(sds / sound.rate_hz, _LEAST_SD_S * heard_hz / sound.rate_hz),
         rises.mean(axis=0)[frames],
         10 * np.log10(own.sum(axis=0)),
         (colours_db - colours_db.mean(axis=0)).T,

@@ -158,6 +158,15 @@ def _clip(path: Path) -> None:
     write_video(path, pictures, "libx264", 60)
 
 
+def _bounce(path: Path) -> None:
+    """A ball's sound in a quiet room, as a phone's recorder would keep it."""
+    from analysis.evaluation.sound.clip import draw_sound
+    from analysis.evaluation.sound.sound_file import write_sound
+
+    clip = draw_sound(-7, 7, background="quiet", snr_db=35.0)
+    write_sound(clip.samples, int(clip.rate_hz), path)
+
+
 def _weights(path: Path) -> None:
     shutil.copy(WEIGHTS / path.name, path)
 
@@ -189,6 +198,8 @@ STAND_INS: Mapping[str, Callable[[Path], object]] = {
     "track.txt": lambda path: _table(path, "", " ", "second", 1),
     "spots.csv": lambda path: _table(path, "frame,z", ",", "frame", 1),
     "claps.xlsx": _claps,
+    "*.wav": _bounce,
+    "*.m4a": _bounce,
     "*.safetensors": _weights,
 }
 """By a pattern of the name; the first that fits makes it."""

@@ -49,7 +49,9 @@ def opened_media(path: Path, formats: str, what: str) -> Iterator[InputContainer
             file.seek(0)
             checked = CheckedFile(file)
             try:
-                with av.open(checked, "r", format=form, options=options) as container:
+                with av.open(
+                    checked, "r", format=form, options=options, metadata_errors="replace"
+                ) as container:
                     yield container
             finally:
                 if checked.refused is not None:

@@ -39,6 +39,9 @@ _SECONDS = 6
 _ECHO_SPREAD_S = 0.002
 """By which what is late by the same time everywhere is an echo."""
 
+_ECHO_SDS = 2.0
+"""Of a knock's own moment that come to that: an echo begins less sharply than a knock."""
+
 _AS_LOUD_DB = 6.0
 """Below the ball's own, from which on another knock is as loud."""
 
@@ -231,8 +234,9 @@ def _second_odds(judge: _Judge, which: NDArray[np.int64]) -> float:
     judge = replace(judge, heard=others)
     odds = -np.inf
     for chain in chains(others, float(own_s[-1] - own_s[0]) + _BEFORE_S)[:_SECONDS]:
-        times_s = others.times_s[chain.which]
+        times_s, sds_s = others.times_s[chain.which], others.sds_s[chain.which]
         late_s = times_s - own_s[np.maximum(np.searchsorted(own_s, times_s) - 1, 0)]
-        if np.ptp(late_s) > _ECHO_SPREAD_S:
+        off_s = np.abs(late_s - np.median(late_s))
+        if np.any(off_s > _ECHO_SPREAD_S / 2 + _ECHO_SDS * sds_s):
             odds = max(odds, judge.judged(chain).score)
     return float(odds)

@@ -90,8 +90,8 @@ def times_checks(detection: TimesDetection, last: Step, fit: FitResult | None) -
         Check(
             "slows as balls do",
             slope > _LEAST_SLOPE,
-            f"its restitution falls with speed by a power of {slope:.3f} (wanted: over "
-            f"{_LEAST_SLOPE:g})",
+            f"its restitution {'falls' if slope > 0 else 'grows'} with speed, by a power of "
+            f"{abs(slope):.3f} (it may grow by {-_LEAST_SLOPE:g} at most)",
             advice="record one ball that bounces freely",
         )
     )

@@ -75,6 +75,14 @@ def test_slowed_sound_has_its_times_on_the_log_s_clock():
     assert np.allclose(slow.times_s * 4, quick.times_s)
 
 
+def test_a_file_of_a_studio_s_rate_sounds_as_any_other():
+    """Of which every second sample is kept."""
+    clean = knocks(TRUE_S) + noise(int(3.2 * RATE_HZ), 1e-4)
+    usual, fast = onsets(sound_of(clean)), onsets(sound_of(clean, RATE_HZ, 2 * RATE_HZ))
+    assert np.array_equal(usual.times_s, fast.times_s)
+    assert np.array_equal(usual.sds_s, fast.sds_s)
+
+
 @pytest.mark.parametrize(
     "samples",
     [
