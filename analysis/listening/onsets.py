@@ -58,7 +58,7 @@ _LEAST_SD_S = 2e-5
 """Of a moment: one sample."""
 
 _LOUD_S = 0.010
-"""After the onset, in which its loudness is measured."""
+"""After the onset, in which its largest sample is looked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +71,7 @@ class Onsets:
         rises_db: mean rise over all bands, shape (N,).
         loudness_db: of each, over the background before it taken off, re full scale, shape (N,).
         colours_db: of its bands less their mean, shape (N, B).
+        peaks: largest sample of each, full scale 1, shape (N,).
     """
 
     times_s: Array
@@ -78,6 +79,7 @@ class Onsets:
     rises_db: Array
     loudness_db: Array
     colours_db: Array
+    peaks: Array
 
     def __len__(self) -> int:
         return len(self.times_s)
@@ -90,6 +92,7 @@ class Onsets:
             self.rises_db[chosen],
             self.loudness_db[chosen],
             self.colours_db[chosen],
+            self.peaks[chosen],
         )
 
 
@@ -100,7 +103,7 @@ def onsets(sound: Sound) -> Onsets:
     hop = _hop(heard_hz)
     if len(samples) < (_BEFORE + _GUARD + _AFTER + 2) * hop or heard_hz < _LEAST_RATE_HZ:
         none = np.zeros(0)
-        return Onsets(none, none, none, none, np.zeros((0, 0)))
+        return Onsets(none, none, none, none, np.zeros((0, 0)), none)
     powers = _band_powers(samples, heard_hz)
     rises, before, after = _rises(powers)
     frames = _peaks(rises.mean(axis=0))
@@ -114,6 +117,7 @@ def onsets(sound: Sound) -> Onsets:
         rises.mean(axis=0)[frames],
         10 * np.log10(own.sum(axis=0)),
         (colours_db - colours_db.mean(axis=0)).T,
+        np.array([_peak(samples, at, heard_hz) for at, _ in picked]),
     )
     found = found.only(np.argsort(found.times_s, kind="stable"))
     return found.only(~_echoes(found.times_s, found.loudness_db))
@@ -170,6 +174,12 @@ def _peaks(rise: Array) -> NDArray[np.int64]:
     frames, shape = find_peaks(rise, height=_LEAST_RISE_DB, distance=_APART)
     most = np.argsort(-shape["peak_heights"])[:MOST_ONSETS]
     return np.sort(frames[most])
+
+
+def _peak(samples: Array, at: float, rate_hz: float) -> float:
+    """The largest sample of the knock that begins there."""
+    begin = max(int(at), 0)
+    return float(np.abs(samples[begin : begin + round(_LOUD_S * rate_hz)]).max(initial=0.0))
 
 
 def _moment(samples: Array, at: int, rate_hz: float) -> tuple[float, float]:

@@ -51,6 +51,9 @@ _SOFTENING_DB, _SOFTENING_SD_DB, _BEAT_SD_DB = 28.0, 8.0, 5.0
 _LOUDNESS_SD_DB, _LOUDNESS_KNOWN = 2.0, 2
 """Usual scatter of a knock's loudness, and how many knocks that counts for."""
 
+_FULL_SCALE, _FEWEST_SOFTENING = 0.98, 4
+"""Of a knock that is clipped; and knocks that are not, from which on their softening is known."""
+
 _TRIED = 6
 """Knocks, for one impact."""
 
@@ -65,7 +68,8 @@ class BallAmong:
         second_odds: logarithm of the odds for a second ball while this one bounces.
         as_loud: other knocks meanwhile that are as loud as its own.
         softening_odds: logarithm of the odds that its knocks soften as a ball's do, against knocks
-            that stay as loud.
+            that stay as loud; 0 where too few are below full scale to tell.
+        clipped: its knocks that are as loud as the recording can tell.
     """
 
     ball: HeardBall
@@ -73,6 +77,7 @@ class BallAmong:
     second_odds: float
     as_loud: int
     softening_odds: float
+    clipped: int
 
 
 def ball_among(heard: Onsets, lasts_s: float, rig: Rig) -> BallAmong | None:
@@ -94,12 +99,14 @@ def ball_among(heard: Onsets, lasts_s: float, rig: Rig) -> BallAmong | None:
     if ball is None:
         return None
     kept = which[ball.reading.heard]
+    clipped = heard.peaks[kept] > _FULL_SCALE
     return BallAmong(
         ball,
         kept,
         _second_odds(judge, kept),
         _as_loud(heard, kept),
-        _softening_odds(ball, heard.loudness_db[kept]),
+        _softening_odds(ball, np.where(clipped, np.nan, heard.loudness_db[kept])),
+        int(clipped.sum()),
     )
 
 
@@ -199,9 +206,11 @@ def _changes(heard: Onsets, chain: KnockChain) -> list[KnockChain]:
 
 
 def _softening_odds(ball: HeardBall, loudness_db: Array) -> float:
-    """By the line of loudness over the logarithm of the impacts' speeds."""
+    """By the line of loudness, NaN where it is not known, over the log of the impacts' speeds."""
     speeds = np.log10(ball.flown.arriving_m_s[ball.numbers, 0])
-    known = np.isfinite(speeds)  # nobody hears how fast it arrives at the first
+    known = np.isfinite(speeds + loudness_db)  # nobody hears how fast it arrives at the first
+    if known.sum() < _FEWEST_SOFTENING:
+        return 0.0
     speeds, loudness_db = speeds[known], loudness_db[known]
     off = speeds - speeds.mean()
     spread = float(off @ off)

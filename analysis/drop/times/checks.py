@@ -9,6 +9,7 @@ from analysis.drop.checks import sure_check
 from analysis.drop.detection import DISAGREEMENT
 from analysis.drop.times.ball_among import BallAmong
 from analysis.drop.times.detection import TimesDetection
+from analysis.drop.times.least_squares import Whitening
 from analysis.drop.times.posterior import HeardBall
 from analysis.estimators.base import FitResult, Step
 from tunenet_logs.arrays import Array
@@ -165,16 +166,22 @@ def off_s(detection: TimesDetection, step: Step) -> Array:
 
 
 def _simulation_check(heard: HeardBall, off: Array) -> Check:
-    known = off[np.isfinite(off)]
-    rms_s = float(np.sqrt(np.mean(known**2))) if len(known) else np.inf
+    known = np.isfinite(off)
+    rms_s, worst_s = np.inf, 0.0
+    if known.any():
+        numbers = np.flatnonzero(known) + heard.told
+        times_s = heard.predicted_s[numbers]
+        ratio = heard.scatter / heard.jitter_s
+        own = Whitening.of(times_s, numbers - numbers[0], ratio).rows @ off[known]
+        rms_s, worst_s = float(np.sqrt(np.mean(own**2))), float(np.abs(off[known]).max())
     most_s = _FITS * heard.jitter_s + _LEAST_FIT_S
     rms, most = figures(1000 * rms_s, 1000 * most_s, 2)
-    worst = 1000 * float(np.abs(known).max(initial=0.0))
     return Check(
         "simulation fits",
         rms_s < most_s,
-        f"its impacts are {rms} ms from those heard, rms of {len(known)} (at most {most}, by their "
-        f"jitter of {1000 * heard.jitter_s:.2f} ms); {worst:.2f} ms at worst",
+        f"its impacts are {rms} ms from those heard, rms of {known.sum()} beside the "
+        f"{100 * heard.scatter:.2g} % by which each bounce is its own (at most {most}, by their "
+        f"jitter of {1000 * heard.jitter_s:.2f} ms); {1000 * worst_s:.2f} ms at worst",
         advice="drop it again without spin, onto a hard and level surface",
     )
 
@@ -193,6 +200,7 @@ def ratio_cross_check(heard: HeardBall, value: float) -> CrossCheck | None:
     usual = np.diff(fitted_s)[at + 1] / np.diff(fitted_s)[at]
     each = after / before / usual
     sds = heard.jitter_s * np.sqrt(before**-2 + after**-2 + (1 / before + 1 / after) ** 2)
+    sds = np.hypot(sds, heard.scatter)
     best = int(np.argmin(sds))
     weights = sds**-2 / np.sum(sds**-2)
     seen = value * float(weights @ each)

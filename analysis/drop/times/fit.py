@@ -9,7 +9,8 @@ follows too.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from analysis.drop.times import impact_prior as priors
 from analysis.drop.times.contacts import WithContacts
 from analysis.drop.times.flight_times import fallen_m_s
-from analysis.drop.times.least_squares import BallsByTimes, Whitening
+from analysis.drop.times.least_squares import BallsByTimes, whitenings
 from tunenet_logs.arrays import Array
 
 HEIGHT_SD, LEAST_HEIGHT_SD_M = 0.005, 0.003
@@ -73,6 +74,7 @@ class Balls:
         slopes: p.
         drags_1_m: likewise.
         jitters_s: of the times.
+        scatters: of each impact's own restitution about the law, as a fraction.
         begins: log speed after the first impact [m/s].
         contacts_s: how long each touches the table.
         log_evidence: of all together, against noises: see `fit_times`.
@@ -86,10 +88,34 @@ class Balls:
     slopes: Array
     drags_1_m: Array
     jitters_s: Array
+    scatters: Array
     begins: Array
     contacts_s: Array
     log_evidence: float
     height_sds: float
+
+    @classmethod
+    def mixed(cls, parts: Sequence[Balls]) -> Balls:
+        """All of them, those of each part with its evidence."""
+        logs = np.array([one.log_evidence for one in parts])
+        shares = np.exp(logs - logs.max())
+        log_evidence = float(logs.max() + np.log(shares.sum()))
+        shares /= shares.sum()
+        kept = [
+            (one, share) for one, share in zip(parts, shares, strict=True) if share > _NEGLIGIBLE
+        ]
+        merged = {
+            field.name: np.concatenate([getattr(one, field.name) for one, _ in kept])
+            for field in fields(cls)
+            if field.name not in {"weights", "log_evidence", "height_sds"}
+        }
+        weights = np.concatenate([share * one.weights for one, share in kept])
+        return cls(
+            weights=weights / weights.sum(),
+            log_evidence=log_evidence,
+            height_sds=float(sum(share * one.height_sds for one, share in kept)),
+            **merged,
+        )
 
     def mean(self, values: Array) -> float:
         """Of values of the balls, shape (M,)."""
@@ -119,15 +145,20 @@ def fit_times(
         rig.drag_1_m,
         has_clock=rig.has_clock,
     )
-    white = Whitening.of(times_s, numbers, rig.jitter_s)
-    balls = _weighed(BallsByTimes.of(times_s, numbers, nodes, white), nodes, log_rate, rig)
+
+    def fitted(nodes: priors.Nodes) -> Balls:
+        whites = whitenings(times_s, numbers, rig.jitter_s)
+        fits = [BallsByTimes.of(times_s, numbers, nodes, white) for white in whites]
+        return Balls.mixed([_weighed(fit, nodes, log_rate, rig) for fit in fits])
+
+    balls = fitted(nodes)
     if not fine:
         return balls
     positive = balls.drags_1_m > 0
     logs = np.log(np.where(positive, balls.drags_1_m, priors.USUAL_DRAG_1_M))
     ends = [_about(balls, balls.slopes, 0.01), _about(balls, logs, 0.1)]
     nodes = priors.nodes(ends[0], ends[1], _FINE, rig.drag_1_m, has_clock=rig.has_clock)
-    return _weighed(BallsByTimes.of(times_s, numbers, nodes, white), nodes, log_rate, rig)
+    return fitted(nodes)
 
 
 def _about(balls: Balls, values: Array, least_sd: float) -> tuple[float, float]:
@@ -141,7 +172,9 @@ def _weighed(fit: BallsByTimes, nodes: priors.Nodes, log_rate: float, rig: Rig) 
     free = fit.count - 3
     told = WithContacts.of(fit)
     log = nodes.log_prior[:, None] + priors.log_jitter_prior(rig.jitter_s)[None, :]
-    log = log + told.log_gains + fit.log_size
+    scatters = fit.white.ratio_1_s * jitters
+    log = log + fit.white.log_prior + priors.log_scatter_prior(scatters)
+    log = log + told.log_gains + fit.white.log_size
     log = log - fit.squares[:, None] / (2 * jitters**2) - free * np.log(jitters)
     log = log + 0.5 * np.linalg.slogdet(fit.spread)[1][:, None]
     log -= 0.5 * free * np.log(2 * np.pi) + np.log(FLIGHT_RANGE) + (fit.count - 1) * log_rate
@@ -167,6 +200,7 @@ def _weighed(fit: BallsByTimes, nodes: priors.Nodes, log_rate: float, rig: Rig) 
         slopes=nodes.slopes[rows],
         drags_1_m=nodes.drags_1_m[rows],
         jitters_s=jitters[columns],
+        scatters=scatters[columns],
         begins=begin[rows, columns],
         contacts_s=told.contacts_s[rows, columns],
         log_evidence=evidence,

@@ -38,6 +38,14 @@ _LOW_DRAG_1_M, _HIGH_DRAG_1_M = 5e-4, 0.6
 JITTERS_S = np.geomspace(3e-5, 0.03, 31)
 """Standard deviations of a time that are tried."""
 
+SCATTERS = {0.002: 0.5, 0.01: 0.3, 0.03: 0.2}
+"""How likely is each standard deviation of an impact's own restitution about the law, as a fraction
+of it: a machined ball's on stone, a table-tennis ball's, a marble's on a floor. The times' own
+jitter scales it."""
+
+_MOST_SCATTER, _LOG_MOST_SD = 0.04, 0.1
+"""More than that no ball has that keeps to a law."""
+
 CONTACT_S, CONTACT_SD_S, CONTACTS_S = 0.002, 0.003, (0.0, 0.009)
 """How long a ball touches the table: a steel ball .2 ms, a soft one 8 ms."""
 
@@ -62,6 +70,12 @@ def log_jitter_prior(usual_s: float) -> Array:
     off = np.log(JITTERS_S / usual_s) / _LOG_JITTER_SD
     weights = np.exp(-0.5 * off**2)
     return np.log(weights / weights.sum())
+
+
+def log_scatter_prior(scatters: Array) -> Array:
+    """That there is not too much of it: 0 where there is not."""
+    over = np.maximum(np.log(scatters / _MOST_SCATTER), 0.0)
+    return -0.5 * (over / _LOG_MOST_SD) ** 2
 
 
 def nodes(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +11,6 @@ from analysis.drop.times import impact_prior as priors
 from analysis.drop.times.flight_times import FlightTimes, flights
 from recorders.simulators.base import GRAVITY_M_S2
 from tunenet_logs.arrays import Array
-
-BOUNCE_SCATTER = 0.002
-"""Standard deviation of each impact's own restitution about the law, as a fraction."""
 
 _ITERATIONS, _SHORT = 7, 1e-6
 """Of Gauss and Newton's method, and the step of its derivatives."""
@@ -26,25 +23,38 @@ _TRIED = np.linspace(0.06, 1.1, 209)
 class Whitening:
     """Makes residuals of the times independent, of the size of the jitter.
 
-    An impact that returns more than the law says makes all later flights longer. How much that is
-    beside the jitter is taken from the usual jitter.
+    An impact that returns more than the law says makes all later flights longer.
 
     Attributes:
         rows: lower triangle, shape (N, N).
         log_size: logarithm of its determinant.
+        ratio_1_s: scatter of the impacts over the jitter [1/s].
+        log_prior: of that ratio.
     """
 
     rows: Array
     log_size: float
+    ratio_1_s: float
+    log_prior: float = 0.0
 
     @classmethod
-    def of(cls, times_s: Array, numbers: NDArray[np.int64], jitter_s: float) -> Whitening:
-        """Of the times that were heard, by their usual jitter."""
+    def of(cls, times_s: Array, numbers: NDArray[np.int64], ratio_1_s: float) -> Whitening:
+        """Of the times that were heard."""
         every = np.interp(np.arange(numbers.max() + 1), numbers, times_s)
         later_s = np.maximum(times_s[:, None] - every[None, 1:-1], 0.0)
-        spread = np.eye(len(times_s)) + (BOUNCE_SCATTER / jitter_s) ** 2 * later_s @ later_s.T
+        spread = np.eye(len(times_s)) + ratio_1_s**2 * later_s @ later_s.T
         rows = np.linalg.inv(np.linalg.cholesky(spread))
-        return cls(rows, float(np.log(np.diag(rows)).sum()))
+        return cls(rows, float(np.log(np.diag(rows)).sum()), ratio_1_s)
+
+
+def whitenings(
+    times_s: Array, numbers: NDArray[np.int64], jitter_s: float
+) -> tuple[Whitening, ...]:
+    """One for each scatter that balls have, by the usual jitter."""
+    return tuple(
+        replace(Whitening.of(times_s, numbers, scatter / jitter_s), log_prior=float(np.log(likely)))
+        for scatter, likely in priors.SCATTERS.items()
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +69,7 @@ class BallsByTimes:
         leans: change of the unknowns with longer contacts, shape (M, 3) [1/s].
         across: sum of the residuals times what a contact of 1 s more makes of them, shape (M,) [s].
         bends: sum of the squares of the latter, shape (M,).
-        log_size: see `Whitening`.
+        white: what made the residuals independent.
         seconds_m_s: speed of the second impact, shape (M,).
         count: N, of the times.
     """
@@ -72,7 +82,7 @@ class BallsByTimes:
     bends: Array
     seconds_m_s: Array
     count: int
-    log_size: float
+    white: Whitening
 
     @classmethod
     def of(
@@ -125,9 +135,7 @@ class BallsByTimes:
             unknowns[:, 2] = np.clip(unknowns[:, 2], 0.01, 1.3)
         across, bends = (first * left).sum(axis=0), (left**2).sum(axis=0)
         squares = (first**2).sum(axis=0)
-        return cls(
-            unknowns, spread, squares, leans, across, bends, seconds, len(times_s), white.log_size
-        )
+        return cls(unknowns, spread, squares, leans, across, bends, seconds, len(times_s), white)
 
 
 def ideal_ball(times_s: Array, numbers: NDArray[np.int64]) -> Array:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from analysis.drop.times import impact_prior as priors
 from analysis.drop.times.fit import FLIGHT_RANGE, Rig
 from analysis.drop.times.flight_times import flights
-from analysis.drop.times.least_squares import Whitening, ideal_ball
+from analysis.drop.times.least_squares import Whitening, ideal_ball, whitenings
 from tunenet_logs.arrays import Array
 
 _SLOPE, _SLOPE_SD = 0.04, 0.07
@@ -38,7 +38,21 @@ def log_likelihood(
         log_rate: logarithm of the density of noises' times [1/s].
         rig: what is known of the ball; its height is not used.
     """
-    rows = Whitening.of(times_s, numbers, rig.jitter_s)
+    tried = [
+        _likelihood(times_s, numbers, white, rig)
+        for white in whitenings(times_s, numbers, rig.jitter_s)
+    ]
+    logs = np.array([log for log, _ in tried])
+    most = float(logs.max())
+    found = most + float(np.log(np.exp(logs - most).sum()))
+    odds = found - float(np.log(FLIGHT_RANGE)) - (len(times_s) - 1) * log_rate
+    return odds, tried[int(logs.argmax())][1]
+
+
+def _likelihood(
+    times_s: Array, numbers: NDArray[np.int64], white: Whitening, rig: Rig
+) -> tuple[float, float]:
+    """Logarithm of the likelihood with this share of scatter, and the ball's restitution."""
     log_drag = np.log(rig.drag_1_m or priors.USUAL_DRAG_1_M)
     middles = np.array([0.0, 0.0, 0.0, _SLOPE, log_drag, priors.CONTACT_S])
     drag_sd = priors.KNOWN_DRAG if rig.drag_1_m else priors.LOG_DRAG_SD
@@ -47,7 +61,7 @@ def log_likelihood(
     at[:_FLAT] = ideal_ball(times_s - priors.CONTACT_S * numbers, numbers)
     left, columns = _seen(times_s, numbers, at)
     for _ in range(_ITERATIONS):
-        left, columns = rows.rows @ left, rows.rows @ columns
+        left, columns = white.rows @ left, white.rows @ columns
         normal = columns.T @ columns / rig.jitter_s**2 + np.diag(prior + 1e-9)
         pull = columns.T @ left / rig.jitter_s**2 + prior * (middles - at)
         step = np.linalg.solve(normal, pull)
@@ -56,19 +70,19 @@ def log_likelihood(
         at[2] = np.clip(at[2], 0.01, 1.3)
         at[3:5] = np.clip(at[3:5], _LEAST, _MOST)
         left, columns = _seen(times_s, numbers, at)
-    left, columns = rows.rows @ left, rows.rows @ columns
+    left, columns = white.rows @ left, white.rows @ columns
     jitters = priors.JITTERS_S[:, None, None]
     normal = columns.T @ columns / jitters**2 + np.diag(prior + 1e-9)
     pull = (columns.T @ left) / jitters[..., 0] ** 2 + prior * (middles - at)
     gain = np.einsum("ji,ji->j", pull, np.linalg.solve(normal, pull[..., None])[..., 0])
     squares = (left @ left) / priors.JITTERS_S**2 + prior @ (middles - at) ** 2 - gain
     log = priors.log_jitter_prior(rig.jitter_s) - 0.5 * squares
+    log = log + white.log_prior + priors.log_scatter_prior(white.ratio_1_s * priors.JITTERS_S)
     log = log - len(times_s) * np.log(priors.JITTERS_S) - 0.5 * np.linalg.slogdet(normal)[1]
-    log = log + 0.5 * np.log(prior[_FLAT:]).sum() + rows.log_size
+    log = log + 0.5 * np.log(prior[_FLAT:]).sum() + white.log_size
     log = log - 0.5 * (len(times_s) - _FLAT) * np.log(2 * np.pi)
     most = float(log.max())
-    found = most + float(np.log(np.exp(log - most).sum()))
-    return found - float(np.log(FLIGHT_RANGE)) - (len(times_s) - 1) * log_rate, float(at[2])
+    return most + float(np.log(np.exp(log - most).sum())), float(at[2])
 
 
 def _seen(times_s: Array, numbers: NDArray[np.int64], at: Array) -> tuple[Array, Array]:

@@ -16,6 +16,7 @@ from analysis.drop.times.flight_times import (
     flights,
     leaving_speeds,
 )
+from analysis.drop.times.least_squares import Whitening
 from analysis.drop.times.missing_impacts import MISSED, Reading, noise_rate_hz, readings
 from analysis.drop.times.rhythms import Rhythm, best_rhythm
 from analysis.record import Rebound
@@ -66,6 +67,7 @@ class HeardBall:
         times_s: of its impacts, as they were heard, shape (N,) [s].
         rig: what was known.
         jitter_s: standard deviation of a time.
+        scatter: of each impact's own restitution about the law, as a fraction.
         contact_s: how long the ball touches the table at each impact.
         log_odds: logarithm of the odds against noises at random times.
         rhythm: what explains the times best of all that is no ball, and the logarithm of a ball's
@@ -82,6 +84,7 @@ class HeardBall:
     times_s: Array
     rig: Rig
     jitter_s: float
+    scatter: float
     contact_s: float
     log_odds: float
     rhythm: tuple[str, float]
@@ -232,6 +235,7 @@ def heard_ball(times_s: Array, rig: Rig, besides: Besides | None = None) -> Hear
         times_s=times_s[reading.heard],
         rig=rig,
         jitter_s=balls.mean(balls.jitters_s) / seconds_s,
+        scatter=balls.mean(balls.scatters),
         contact_s=contact_s / seconds_s,
         log_odds=_log_odds(float(odds[best]), tried[best], clock, besides),
         rhythm=_against_rhythms(clock, reading, log_rate, heightless),
@@ -294,6 +298,8 @@ def _held(
     """First impact [s] and speed after it [m/s] that fit best with the values held."""
     numbers = reading.numbers[reading.heard]
     log_speed, short, begin_s = balls.mean(balls.begins), 1e-6, float(clock_s[0])
+    ratio_1_s = balls.mean(balls.scatters) / balls.mean(balls.jitters_s)
+    rows = Whitening.of(clock_s, numbers, ratio_1_s).rows
     for _ in range(6):
         hits, moved = (
             _flown(int(numbers.max()), float(np.exp(at)), values, rig).impacts_s[numbers, 0]
@@ -301,7 +307,7 @@ def _held(
         )
         columns = np.column_stack([np.ones(len(hits)), (moved - hits) / short])
         off = clock_s - begin_s - hits
-        step, *_ = np.linalg.lstsq(columns, off, rcond=None)
+        step, *_ = np.linalg.lstsq(rows @ columns, rows @ off, rcond=None)
         begin_s, log_speed = begin_s + float(step[0]), log_speed + float(np.clip(step[1], -1, 1))
     return begin_s, float(np.exp(log_speed))
 
