@@ -92,7 +92,8 @@ def build_parser() -> Parser:
         const="0",
         metavar="SOURCE",
         help="a camera's number or /dev/... path (default: 0); an http, https, rtsp, rtsps, tcp or "
-        "udp address; a video file; or - for what another program writes",
+        "udp address; a video file, with its sound; or - for what another program writes (sound "
+        "alone needs no recording: tunenet-tune bounce.wav)",
     )
     source.add_argument(
         "--simulate", choices=["drop", "payload", "bounce-shot"], help="what to simulate"

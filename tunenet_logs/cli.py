@@ -73,14 +73,15 @@ _RECOVER_EXAMPLES = """\
   tunenet-logs recover broken.bag -o saved.mcap"""
 
 _IMPORT = """\
-Write the positions, joints and pictures of a bag, CSV table, video or log of others
-to a log of our own format. Pictures that are compressed stay as they are. What no
+Write the positions, joints, pictures and sound of a bag, CSV table, video, sound or log
+of others to a log of our own format. Pictures that are compressed stay as they are. What no
 task uses is left out, and named. So are topics that get another name, for ROS or
 because two would have the same. One that is broken off leaves nothing."""
 
 _IMPORT_EXAMPLES = """\
   tunenet-logs import arm.bag                  (writes arm.mcap beside it)
   tunenet-logs import torques.csv -o arm.mcap
+  tunenet-logs import bounce.wav -o bounce.mcap
   tunenet-logs import rosbag2_2026_11_02/ -o drop.mcap"""
 
 

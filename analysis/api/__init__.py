@@ -34,7 +34,15 @@ from analysis.api.results import (
 from analysis.api.tuning import Reviewed, tune, tune_all
 from analysis.checks import Check, CrossCheck
 from analysis.comparison import Comparison
-from analysis.motion import Curves, Equivalent, Equivalents, Motion, SimulationFit, Units
+from analysis.motion import (
+    Curves,
+    Equivalent,
+    Equivalents,
+    Motion,
+    SimulationFit,
+    SoundShare,
+    Units,
+)
 from analysis.record import Estimate, Provenance, Rebound, Record, Tuning
 from analysis.tune_options import TuneOptions
 from recorders.filmed_drop import FilmOrder
@@ -73,6 +81,7 @@ __all__ = [
     "ShotOrder",
     "Signal",
     "SimulationFit",
+    "SoundShare",
     "TuneNetError",
     "TuneOptions",
     "Tuning",

@@ -21,11 +21,11 @@ from tunenet_logs.commandline import Parser, number, reading_options, whole
 _DESCRIPTION = """\
 Find the physical parameters that make a simulator move as a log shows: for a
 dropped ball, its coefficient of restitution; for an arm that moves and holds something,
-its mass. Reads videos (.mp4, .mov, ...), tables (.csv), exports of motion capture,
-video trackers, sensors and robots, and logs (MCAP, ROS 1 .bag, ROS 2 .db3 and bag
-folders) that hold the ball's position (PoseStamped, Odometry, TF,
-...), a camera's pictures, or joints with their torques (JointState, Kinova's) under
-any topic, ours or not.
+its mass. Reads videos (.mp4, .mov, ...), sound (.wav, .m4a, .mp3, ...), tables (.csv),
+exports of motion capture, video trackers, sensors and robots, and logs (MCAP, ROS 1
+.bag, ROS 2 .db3 and bag folders) that hold the ball's position (PoseStamped, Odometry,
+TF, ...), a camera's pictures, sound, or joints with their torques (JointState,
+Kinova's) under any topic, ours or not.
 
 Writes NAME.json (the result) and NAME.rrd (the review, for `rerun NAME.rrd`)
 beside each log, and prints a table. Of many logs (several, a folder, a pattern) with
@@ -40,6 +40,7 @@ _EXAMPLES = """\
   tunenet-tune 'runs/**/ball*.mcap' -o tuned --review-only suspect --csv tuned.csv
   tunenet-tune drop.mcap --json - | jq .parameters.restitution
   tunenet-tune phone.mp4
+  tunenet-tune bounce.wav                          (a ball by its sound)
   tunenet-tune phone.mp4 --preview                 (mark the ball on a page)
   tunenet-tune phone.mp4 --roi 400,0,500,1080 --start 2.5
   tunenet-tune phone.mp4 --ball table-tennis       (takes the air's drag into account)
@@ -71,7 +72,8 @@ def build_parser() -> Parser:
         nargs="+",
         type=_named,
         metavar="LOG",
-        help="log to tune from, a folder that holds logs, or a pattern such as 'runs/**/*.mcap'",
+        help="log, film or sound to tune from, a folder that holds logs, or a pattern such as "
+        "'runs/**/*.mcap'",
     )
     add("-o", "--output", type=Path, metavar="DIR", help="folder for the results")
     add(

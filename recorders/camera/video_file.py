@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from recorders.camera.base import Shot
-from tunenet_logs.errors import CameraError
+from tunenet_logs.errors import CameraError, LogError
+from tunenet_logs.formats.sound_file import is_sound_alone
 from tunenet_logs.formats.video import open_video, video_notes
 from tunenet_logs.jpeg import compressed
 from tunenet_logs.sound import Sound
@@ -20,7 +21,7 @@ class VideoFile:
         filmed_hz: rate at which it was filmed, where the user knows better than its tags.
 
     Raises:
-        CameraError: `path` is no file.
+        CameraError: `path` is no file, or sound alone.
         LogError: no video, or damaged.
     """
 
@@ -38,7 +39,13 @@ class VideoFile:
             raise CameraError(f"{path}: is neither a file nor a camera device")
         if not path.stat().st_size:
             raise CameraError(f"{path}: is empty; copy the video again")
-        self._video = open_video(path, filmed_hz)
+        try:
+            self._video = open_video(path, filmed_hz)
+        except LogError as error:
+            if not is_sound_alone(path):
+                raise
+            what = f"{path}: is sound alone, and no film"
+            raise CameraError(what, f"tune it as it is: tunenet-tune {path}") from error
         if not self._video.clock.is_timed:
             raise CameraError(f"{path}: does not say how many pictures a second it has; add --fps")
         self._closed = False

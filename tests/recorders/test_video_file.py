@@ -231,6 +231,14 @@ def test_what_is_no_video_is_one_line_that_names_it(command: Command, tmp_path: 
     assert not list(folder.iterdir())
 
 
+def test_sound_alone_is_sent_to_where_it_is_tuned(command: Command, tmp_path: Path):
+    sound(tmp_path / "bounce.wav")
+    result = command("tunenet-record", "--camera", tmp_path / "bounce.wav", cwd=tmp_path)
+    assert result.returncode == 1
+    assert "is sound alone" in result.stderr
+    assert result.stderr.endswith(f"tunenet-tune {tmp_path / 'bounce.wav'}\n")
+
+
 def test_a_file_that_breaks_off_keeps_its_first_frames(command: Command, tmp_path: Path):
     video = write_video(tmp_path / "a.mkv", CONSTANT, "mjpeg")
     whole = video.read_bytes()

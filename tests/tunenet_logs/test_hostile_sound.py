@@ -31,7 +31,7 @@ SAID = {
     "most_channels": (0, "/audio: the sound track holds no sound"),
     "high_rate": (0, "the sound was reduced from 192000 to 48000 Hz"),
     "no_numbers": (0, "3 samples that are no numbers, or far too loud, became silence"),
-    "no_rate": (1, "(Invalid argument)"),
+    "no_rate": (1, "is no sound that can be read (Invalid data"),
     "impossible_rate": (0, "the sound cannot be used: it claims 2.14748e+09 samples a second"),
     "far_apart": (
         0,

@@ -155,3 +155,33 @@ def test_a_file_of_no_samples_is_refused(tmp_path: Path):
     write_wav(path, np.zeros(0))
     with pytest.raises(LogError, match="holds no sound"):
         read_episode(path)
+
+
+NOISE = np.random.default_rng(0).integers(0, 256, 5000, dtype=np.uint8).tobytes()
+
+
+@pytest.mark.parametrize("name", ["a.wav", "a.MP3", "a.m4a", "a.ogg"])
+def test_what_calls_itself_sound_is_refused_as_sound(tmp_path: Path, name: str):
+    path = tmp_path / name
+    path.write_bytes(NOISE)
+    with pytest.raises(LogError) as refused:
+        read_episode(path)
+    assert refused.value.what.startswith(f"{path}: is no sound that can be read (")
+    assert refused.value.what.endswith(": it has 5000 bytes")
+    assert refused.value.remedy == "copy it again, or save it as WAV of 16 bits a sample"
+
+
+@pytest.mark.parametrize(("kept", "what"), [(20, "is no sound that can be read"), (44, "holds no")])
+def test_a_sound_that_is_cut_off_at_its_head(tmp_path: Path, kept: int, what: str):
+    path = tmp_path / "a.wav"
+    write_wav(path, SAMPLES)
+    path.write_bytes(path.read_bytes()[:kept])
+    with pytest.raises(LogError, match=f"{what}.*: it has {kept} bytes; copy it again"):
+        read_episode(path)
+
+
+def test_a_film_that_cannot_be_read_is_no_sound(tmp_path: Path):
+    path = tmp_path / "a.mp4"
+    path.write_bytes(NOISE)
+    with pytest.raises(LogError, match="is no video that can be read"):
+        read_episode(path)

@@ -50,7 +50,7 @@ from tunenet_logs.formats.protobuf import protobuf_decoder
 from tunenet_logs.formats.read_options import AS_IT_SAYS, ReadOptions
 from tunenet_logs.formats.ros import ros_decoder
 from tunenet_logs.formats.ros2_folder import read_folder
-from tunenet_logs.formats.sound_file import is_sound_alone, read_sound
+from tunenet_logs.formats.sound_file import is_sound_alone, named_as_sound, read_sound
 from tunenet_logs.formats.tables.lines import SUFFIXES, is_table
 from tunenet_logs.formats.video import read_video
 from tunenet_logs.regular_file import open_regular
@@ -182,6 +182,8 @@ def _read_foreign(path: Path, options: ReadOptions) -> Episode:
         if kind := foreign_kind(start.data, path):
             what, remedy = kind
             raise LogError(f"{path}: is {what}, which is not read as it is; {remedy}") from error
+        if named_as_sound(path):
+            return read_sound(path, options)
         why = error.what.removeprefix(f"{path}: ")
         known = (
             f"an MCAP log, a bag (.bag, .db3), a table ({', '.join(SUFFIXES)}), a video or sound"

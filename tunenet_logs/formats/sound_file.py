@@ -18,6 +18,14 @@ from tunenet_logs.sound import Sound
 SUFFIXES = (".wav", ".m4a", ".mp3", ".flac", ".ogg", ".opus", ".aac", ".aiff", ".aif", ".caf")
 """How such files are mostly called; what they are, their contents tell."""
 
+_SAVE_AS_WAV = "save it as WAV of 16 bits a sample"
+"""The remedy for sound that is written as few programs do."""
+
+
+def named_as_sound(path: Path) -> bool:
+    """Whether a file is called as sound is, whatever it holds."""
+    return path.suffix.lower() in SUFFIXES
+
 
 def is_sound_alone(path: Path) -> bool:
     """Whether a file holds sound and no film."""
@@ -37,10 +45,20 @@ def read_sound(path: Path, _options: ReadOptions = AS_IT_SAYS) -> Episode:
     Raises:
         LogError: no sound is in it, or it is damaged from its beginning on.
     """
+    try:
+        return _read(path)
+    except LogError as error:
+        if not named_as_sound(path) or error.remedy != COPY_AGAIN:
+            raise
+        what = f"{error.what}: it has {path.stat().st_size} bytes"
+        raise LogError(what, f"copy it again, or {_SAVE_AS_WAV}") from error
+
+
+def _read(path: Path) -> Episode:
     with opened_media(path, SOUNDS, "sound") as container:
         stream = sound_stream(container)
         if stream is None:
-            raise LogError(f"{path}: holds no sound that can be decoded", "save it as .wav")
+            raise LogError(f"{path}: holds no sound that can be decoded", _SAVE_AS_WAV)
         start_ns = creation_ns({**stream.metadata, **container.metadata}.get("creation_time", ""))
         times = PacketTimes(stream)
         for packet in container.demux(stream):

@@ -7,6 +7,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from analysis.drop.recorded_height import RecordedHeight, recorded_heights
+from analysis.drop.review.refused_sound import log_sound_of_heights
 from analysis.record import Tuning
 from analysis.review.drawing import IMPACT, OBSERVED, entity_of, send_scalars
 from tunenet_logs.episode import UNSTATED
@@ -23,10 +24,19 @@ _MANY = 200
 
 
 def log_refused_heights(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container | None:
-    """Send the heights of the likeliest signals; None where the log has no positions."""
+    """Send the heights of the likeliest signals, and the sound beside the likeliest.
+
+    None where the log has no positions.
+    """
     found = recorded_heights(tuning.episode, _MOST) if tuning.episode else []
     views = [_log_height(stream, number, one) for number, one in enumerate(found)]
-    return rrb.Vertical(*views) if views else None
+    if not views:
+        return None
+    likeliest = found[0]
+    start_ns = int(likeliest.signal.stamps_ns[0])
+    span_s = float(likeliest.seconds[0]), float(likeliest.seconds[-1])
+    heard = log_sound_of_heights(stream, tuning, start_ns, span_s)
+    return rrb.Vertical(*views) if heard is None else rrb.Vertical(*views, heard)
 
 
 def _log_height(stream: rr.RecordingStream, number: int, height: RecordedHeight) -> rrb.View:

@@ -1,4 +1,4 @@
-"""A sound in which no ball is heard: its envelope, and all that knocks."""
+"""A sound in which no ball is heard, or beside no drop: its envelope, and all that knocks."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from analysis.drop.times.detection import TimesDetection
 from analysis.listening.onsets import onsets
 from analysis.record import Tuning
 from analysis.review.drawing import IMPACT
+from tunenet_logs.arrays import Array
+from tunenet_logs.sound import Sound
 
 
 def log_refused_sound(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container | None:
@@ -23,7 +25,40 @@ def log_refused_sound(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Contain
         if sound is None:
             return None
         span_s, knocks_s = (0.0, sound.lasts_s), onsets(sound).times_s
+    view = _log_knocks(stream, sound, 0.0, span_s, knocks_s)
+    return None if view is None else rrb.Vertical(view)
+
+
+def log_sound_of_heights(
+    stream: rr.RecordingStream, tuning: Tuning, start_ns: int, span_s: tuple[float, float]
+) -> rrb.View | None:
+    """Send what was recorded beside positions in which no drop was found.
+
+    Args:
+        stream: the recording.
+        tuning: that was refused.
+        start_ns: stamp where the heights' time is 0.
+        span_s: first and last moment of the heights.
+
+    Returns:
+        Its view; None where there is no sound, or it is silent then.
+    """
+    sound = sound_of(tuning.episode)
+    if sound is None:
+        return None
+    begin_s = (sound.start_ns - start_ns) * 1e-9
+    knocks_s = onsets(sound).times_s + begin_s
+    inside = (knocks_s >= span_s[0]) & (knocks_s <= span_s[1])
+    return _log_knocks(stream, sound, begin_s, span_s, knocks_s[inside])
+
+
+def _log_knocks(
+    stream: rr.RecordingStream,
+    sound: Sound,
+    begin_s: float,
+    span_s: tuple[float, float],
+    knocks_s: Array,
+) -> rrb.View | None:
     marks = (Marks("knock", "knock", IMPACT, knocks_s),)
     said = f"red: what knocks ({len(knocks_s)})" if len(knocks_s) else "nothing knocks"
-    view = log_sound(stream, sound, 0.0, span_s, marks, said)
-    return None if view is None else rrb.Vertical(view)
+    return log_sound(stream, sound, begin_s, span_s, marks, said)

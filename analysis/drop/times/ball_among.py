@@ -65,7 +65,10 @@ class BallAmong:
     Attributes:
         ball: by its impact times, on the sound's clock.
         which: indices of its impacts among the onsets, shape (N,).
-        second_odds: logarithm of the odds for a second ball while this one bounces.
+        second_odds: logarithm of the odds for a second ball while this one bounces, or for knocks
+            of a ball just before.
+        earlier_s: those of them that say so where all are before its first: of the same ball, most
+            likely; shape (E,), of no elements where they are not.
         as_loud: other knocks meanwhile that are as loud as its own.
         softening_odds: logarithm of the odds that its knocks soften as a ball's do, against knocks
             that stay as loud; 0 where too few are below full scale to tell.
@@ -75,6 +78,7 @@ class BallAmong:
     ball: HeardBall
     which: NDArray[np.int64]
     second_odds: float
+    earlier_s: Array
     as_loud: int
     softening_odds: float
     clipped: int
@@ -103,7 +107,7 @@ def ball_among(heard: Onsets, lasts_s: float, rig: Rig) -> BallAmong | None:
     return BallAmong(
         ball,
         kept,
-        _second_odds(judge, kept),
+        *_second_odds(judge, kept),
         _as_loud(heard, kept),
         _softening_odds(ball, np.where(clipped, np.nan, heard.loudness_db[kept])),
         int(clipped.sum()),
@@ -234,18 +238,24 @@ def _as_loud(heard: Onsets, which: NDArray[np.int64]) -> int:
     return int((inside & (others.loudness_db > least_db)).sum())
 
 
-def _second_odds(judge: _Judge, which: NDArray[np.int64]) -> float:
-    """Of the best chain of other knocks that begins before the ball's last impact."""
+def _second_odds(judge: _Judge, which: NDArray[np.int64]) -> tuple[float, Array]:
+    """Of the best chain of other knocks that begins before the ball's last impact.
+
+    Also its times, where it ends before the ball's first.
+    """
     heard, own_s = judge.heard, judge.heard.times_s[which]
     others = heard.only(np.setdiff1d(np.arange(len(heard)), which))
     inside = (others.times_s > own_s[0] - _BEFORE_S) & (others.times_s < own_s[-1])
     others = others.only(inside)
     judge = replace(judge, heard=others)
-    odds = -np.inf
+    odds, best_s = -np.inf, np.zeros(0)
     for chain in chains(others, float(own_s[-1] - own_s[0]) + _BEFORE_S)[:_SECONDS]:
         times_s, sds_s = others.times_s[chain.which], others.sds_s[chain.which]
         late_s = times_s - own_s[np.maximum(np.searchsorted(own_s, times_s) - 1, 0)]
         off_s = np.abs(late_s - np.median(late_s))
         if np.any(off_s > _ECHO_SPREAD_S / 2 + _ECHO_SDS * sds_s):
-            odds = max(odds, judge.judged(chain).score)
-    return float(odds)
+            score = judge.judged(chain).score
+            if score > odds:
+                odds, best_s = score, times_s
+    earlier_s = best_s if len(best_s) and best_s[-1] < own_s[0] else np.zeros(0)
+    return float(odds), earlier_s

@@ -57,19 +57,25 @@ def times_checks(detection: TimesDetection, last: Step, fit: FitResult | None) -
     of_wrong, most = figures(100 * share, 100 * _MOST_WRONG, 0)
     jitter, most_jitter = figures(1000 * heard.jitter_s, 1000 * _most_jitter_s(heard), 1)
     odds = float(np.exp(min(heard.log_odds, 20.0)))
+    is_ball = heard.log_odds > _SURE_ODDS
+    softening_odds = 0.0 if detection.among is None else detection.among.softening_odds
+    rhythm = _no_rhythm(heard, softening_odds)
+    is_beat = not any(check.passed for check in rhythm)
     checks = [
         Check(
             "enough impacts",
             count >= _ENOUGH,
             f"{count} impacts heard (wanted: {_ENOUGH} or more)",
             advice="let it bounce longer",
+            symptom=not is_ball or is_beat,
         ),
         Check(
             "times are the ball's",
-            share <= _MOST_WRONG and heard.log_odds > _SURE_ODDS,
-            f"{heard.reading.missed} impacts missed, {heard.reading.false} noises between "
-            f"{count} impacts: {of_wrong} % wrong (at most {most}); {odds:.3g} to 1 against noises "
-            f"at random times (wanted: {np.exp(_SURE_ODDS):.0f} to 1)",
+            share <= _MOST_WRONG and is_ball,
+            f"{_heard_how(heard)}{odds:.3g} to 1 against noises at random times "
+            f"(wanted: {np.exp(_SURE_ODDS):.0f} to 1); {heard.reading.missed} impacts missed, "
+            f"{heard.reading.false} noises between {count} impacts: {of_wrong} % wrong (at most "
+            f"{most})",
             advice="record five bounces or more in a quiet room",
             doubts_model=share > _MOST_WRONG,
             fatal=share > _MOST_WRONG,
@@ -81,11 +87,10 @@ def times_checks(detection: TimesDetection, last: Step, fit: FitResult | None) -
             advice="put the microphone near the impact, and set its threshold low",
         ),
     ]
-    softening_odds = 0.0
     if detection.among is not None:
-        checks += _sound_checks(detection.among)
-        softening_odds = detection.among.softening_odds
-    checks += _no_rhythm(heard, softening_odds)
+        start_s = float(heard.times_s[0])
+        checks += _sound_checks(detection.among, start_s, symptom=not is_ball or is_beat)
+    checks += rhythm
     slope = float(heard.interval95[1].mean())
     checks.append(
         Check(
@@ -111,15 +116,29 @@ def times_checks(detection: TimesDetection, last: Step, fit: FitResult | None) -
     return (*checks, _simulation_check(heard, off_s(detection, last)))
 
 
-def _sound_checks(among: BallAmong) -> tuple[Check, Check]:
+def _heard_how(heard: HeardBall) -> str:
+    if heard.log_odds > _SURE_ODDS:
+        return ""
+    return "a ball is hardly heard: " if heard.log_odds > 0 else "no bouncing ball is heard: "
+
+
+def _sound_checks(among: BallAmong, first_s: float, *, symptom: bool) -> tuple[Check, Check]:
     odds, softer = np.exp(np.clip([among.second_odds, among.softening_odds], -20.0, 20.0)).tolist()
+    earlier_s = among.earlier_s
+    second = "for a second ball at the same time"
+    if len(earlier_s) and among.second_odds > 0:
+        second = (
+            f"that the {len(earlier_s)} knocks from {earlier_s[0]:.2f} to {earlier_s[-1]:.2f} s, "
+            f"just before its first at {first_s:.2f} s, are the same ball's, or of one like it"
+        )
     alone = Check(
         "one ball alone",
         among.second_odds < _SURE_ODDS and among.as_loud <= _MOST_AS_LOUD,
-        f"{odds:.3g} to 1 for a second ball at the same time (at most {np.exp(_SURE_ODDS):.0f}), "
-        f"{among.as_loud} other knocks as loud as its own (at most {_MOST_AS_LOUD})",
-        advice="let one ball bounce at a time, or choose a part with --start and --end",
+        f"{odds:.3g} to 1 {second} (at most {np.exp(_SURE_ODDS):.0f}), {among.as_loud} other "
+        f"knocks as loud as its own (at most {_MOST_AS_LOUD})",
+        advice="let one ball bounce alone, or choose one drop with --start and --end",
         doubts_model=False,
+        symptom=symptom,
     )
     softens = Check(
         "softens as a ball does",

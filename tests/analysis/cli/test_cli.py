@@ -19,6 +19,17 @@ def test_help_shows_examples(process: Command, name: str):
     assert f"  tunenet-{name} " in result.stdout
 
 
+@pytest.mark.parametrize("name", ["tune", "record"])
+def test_help_says_that_sound_is_tuned(process: Command, name: str):
+    said = process(f"tunenet-{name}", "--help").stdout
+    assert "tunenet-tune bounce.wav" in " ".join(said.split())
+
+
+def test_help_names_sound_among_the_logs(process: Command):
+    options = process("tunenet-tune", "--help").stdout.partition("positional arguments")[2]
+    assert "sound to tune from" in " ".join(options.partition("options:")[0].split())
+
+
 def test_tune_prints_a_table_and_says_how_to_look(process: Command, drop_log: Path):
     result = process("tunenet-tune", drop_log)
     assert result.returncode == 0, result.stderr

@@ -83,6 +83,50 @@ def test_no_bounce_is_ok(tmp_path: Path, kind: str):
     assert found.reason
 
 
+@pytest.mark.parametrize("kind", ["music", "metronome", "rain"])
+def test_where_no_ball_is_heard_that_is_the_first_reason(tmp_path: Path, kind: str):
+    made = draw_negative(-7, list(NO_BOUNCES).index(kind))
+    reason = record(write_wav(tmp_path / "no.wav", made.samples, made.rate_hz)).reason or ""
+    assert reason.startswith("times are the ball's: no bouncing ball is heard: ")
+    assert "let it bounce longer" not in reason
+
+
+def test_a_short_bounce_is_told_to_bounce_longer(tmp_path: Path):
+    clip = quiet_clip(QUIET[2])
+    fourth_s, fifth_s = clip.scene.impacts_s[3:5]
+    samples = clip.samples[: int(clip.rate_hz * (fourth_s + fifth_s) / 2)]
+    found = record(write_wav(tmp_path / "short.wav", samples, clip.rate_hz))
+    assert (found.reason or "").startswith("enough impacts: 4 impacts heard")
+    assert (found.reason or "").endswith("let it bounce longer")
+
+
+@pytest.mark.parametrize("number", QUIET[1:])
+def test_an_earlier_throw_of_the_ball_is_told_and_can_be_left_out(tmp_path: Path, number: int):
+    clip = quiet_clip(number)
+    impacts_s = clip.scene.impacts_s
+    end_s = float(impacts_s[3] + impacts_s[4]) / 2
+    begin_s = float(impacts_s[0]) - 0.3
+    ends = (int(at_s * clip.rate_hz) for at_s in (end_s, begin_s))
+    twice = np.concatenate([clip.samples[: next(ends)], clip.samples[next(ends) :]])
+    path = write_wav(tmp_path / "twice.wav", twice, clip.rate_hz)
+    found = record(path)
+    assert found.verdict == "suspect"
+    told = (
+        f"the 4 knocks from {impacts_s[0]:.2f} to {impacts_s[3]:.2f} s, just before its first at "
+        f"{end_s + 0.3:.2f} s, are the same ball's"
+    )
+    assert told in (found.reason or "")
+    assert (found.reason or "").endswith("choose one drop with --start and --end")
+    chosen = record(path, Selection(start_s=end_s + 0.1))
+    assert chosen.verdict == "ok", chosen.reason
+
+
+def test_a_second_ball_meanwhile_is_no_earlier_throw(tmp_path: Path):
+    made = draw_negative(-7, list(NO_BOUNCES).index("two balls"))
+    reason = record(write_wav(tmp_path / "two.wav", made.samples, made.rate_hz)).reason or ""
+    assert "for a second ball at the same time" in reason
+
+
 def test_silence_is_refused_with_what_to_do(tmp_path: Path):
     found = record(write_wav(tmp_path / "no.wav", np.zeros(48_000, dtype=np.float32), 48_000))
     assert found.verdict == "rejected"

@@ -22,7 +22,7 @@ from analysis.tuning import tune_episode
 from recorders.simulators.base import GRAVITY_M_S2
 from tests.analysis.review.stored import Stored
 from tests.analysis.review.test_no_view_is_empty import empty_views, review_of
-from tests.conftest import ROOT, film
+from tests.conftest import ROOT, film, record
 from tunenet_logs.episode import Episode
 from tunenet_logs.reader import read_episode
 
@@ -144,6 +144,18 @@ def test_a_sound_that_is_not_used_says_so(tmp_path: Path):
 
 def test_a_rejected_film_has_its_sound_too(tmp_path: Path):
     assert sound_views(review_in(tmp_path, fall_and_speech(tmp_path), "rejected"))
+
+
+def test_a_rejected_track_has_its_sound_too(tmp_path: Path):
+    track = read_episode(record(tmp_path / "a.mcap", restitution=0.0, height_m=1.0))
+    ends_s = track.signals["/ball/pose"].seconds[-1]
+    knocks_s = np.array([0.5, 1.3, ends_s + 0.5])
+    review = review_in(tmp_path, with_sound(track, knocks(knocks_s, ends_s + 1.0), 0.2), "rejected")
+    (view,) = sound_views(review)
+    assert "what knocks" in view
+    marks_s = marked_s(review, "/sound/knock")
+    assert off_s(knocks_s[:2] + 0.2, marks_s) < 0.002
+    assert marks_s.max() <= ends_s
 
 
 @pytest.mark.parametrize("make", [track_and_silence, lambda: sound_alone(SILENCE)])
