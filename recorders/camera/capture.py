@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal
 from recorders.camera.base import Source
 from recorders.camera.even_stamps import stamp_evenly
 from recorders.camera.reading_thread import ReadingThread
-from recorders.camera.sound_blocks import SoundBeside, SoundBlocks
+from recorders.camera.sound_blocks import WritesSound, SoundBlocks
 from recorders.camera.video_file import VideoFile
 from recorders.camera.writing_loop import WORTH_A_WORD_S, WritingLoop
 from recorders.session import Summary, stop_flag
@@ -157,7 +157,7 @@ def _sound_of(source: Source, writer: EpisodeWriter) -> SoundBlocks | None:
     return None if why_not else SoundBlocks(sound)
 
 
-def _tally(reader: ReadingThread, sound: SoundBeside | None) -> dict[str, int]:
+def _tally(reader: ReadingThread, sound: WritesSound | None) -> dict[str, int]:
     """What came: pictures, and blocks of sound beside them."""
     counts = reader.tally()
     counts["captured"] += sound.written if sound else 0

@@ -10,7 +10,7 @@ from tunenet_logs.sound_notes import sound_blocks
 from tunenet_logs.writer import EpisodeWriter
 
 
-class SoundBeside(Protocol):
+class WritesSound(Protocol):
     """What writes sound while pictures are written.
 
     Attributes:

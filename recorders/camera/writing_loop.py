@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from recorders.camera.camera_time import CameraTime, Timed
 from recorders.camera.reading_thread import ReadingThread
-from recorders.camera.sound_blocks import SoundBeside
+from recorders.camera.sound_blocks import WritesSound
 from tunenet_logs.clock import now_ns
 from tunenet_logs.errors import LogError
 from tunenet_logs.gaps import Gap, gap_note
@@ -64,7 +64,7 @@ class WritingLoop:
         limits: Limits,
         bar: Bar,
         preview: Preview | None,
-        sound: SoundBeside | None = None,
+        sound: WritesSound | None = None,
     ) -> None:
         typestore()  # made here, or the first picture would wait for it
         self.clock = CameraTime(is_told=limits.stamps == "camera")
