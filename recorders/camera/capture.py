@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal
 from recorders.camera.base import Source
 from recorders.camera.even_stamps import stamp_evenly
 from recorders.camera.reading_thread import ReadingThread
-from recorders.camera.sound_blocks import WritesSound, SoundBlocks
+from recorders.camera.sound_blocks import SoundBlocks, WritesSound
 from recorders.camera.video_file import VideoFile
 from recorders.camera.writing_loop import WORTH_A_WORD_S, WritingLoop
 from recorders.session import Summary, stop_flag
