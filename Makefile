@@ -93,6 +93,6 @@ supported-python:
 	@touch $@
 
 .venv/developing: .venv/installed
-	$(INSTALL) -e '.[cluster,dev,docs,eval,remote,ros2,tables,train]'
+	$(INSTALL) -e '.[cluster,dev,docs,eval,microphone,remote,ros2,tables,train]'
 	$(BIN)/pyright --version
 	@touch $@

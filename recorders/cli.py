@@ -37,6 +37,7 @@ of a campaign, whole or not there, for tunenet-review."""
 _EXAMPLES = """\
   tunenet-record --camera                              (the first webcam, until Ctrl-C)
   tunenet-record --camera 2 --size 1280x720 --rate 60 --exposure 4 --seconds 8
+  tunenet-record --camera 0 --microphone -o drop.mcap  (and what the bounces sound like)
   tunenet-record --camera drop.mp4 --ball-diameter 0.04 --drop-height 1
   tunenet-record --camera slow.mp4 --fps 240           (slow motion without a tag)
   tunenet-record --camera 192.168.1.20:8080/video --wait 60 -o drop.mcap     (a phone)

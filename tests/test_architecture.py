@@ -35,6 +35,7 @@ HEAVY |= {
     "python_calamine",
     "shtab",
     "ray",
+    "sounddevice",
 }
 OWNERS = {"rerun": "review", "cyclonedds": "ros2", "matplotlib": "report", "jinja2": "report"}
 """The folders, by name, whose modules may import a library at module level."""

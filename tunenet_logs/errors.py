@@ -55,6 +55,10 @@ class CameraAwayError(CameraError):
     """A network camera that is not there, or not yet: asked again, it may be."""
 
 
+class MicrophoneError(TuneNetError):
+    """A microphone that cannot be recorded."""
+
+
 class TopicError(TuneNetError):
     """A live topic that cannot be recorded."""
 

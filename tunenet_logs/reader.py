@@ -130,7 +130,8 @@ def _episode(
         if isinstance(rows, PictureStamps | SoundStamps):
             is_header, reasons = rows.trusts_header()
             doubts += reasons
-            if not is_header or info.notes.get(STAMPS_NOTE, "").startswith(BY_ARRIVALS):
+            is_found = info.notes.get(STAMPS_NOTE, "").startswith(BY_ARRIVALS)  # of pictures alone
+            if not is_header or (is_found and isinstance(rows, PictureStamps)):
                 by_log.add(name)
         elif isinstance(rows, PositionRows | JointRows | DriveRows):
             is_joints = isinstance(rows, JointRows)

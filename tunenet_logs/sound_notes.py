@@ -13,7 +13,10 @@ from tunenet_logs.sound import Sound
 
 _RATE, _FILE_RATE, _ABOUT = "sound_rate_hz", "sound_file_rate_hz", "sound"
 
-_BLOCK_S = 0.1
+WARNINGS_NOTE = "sound_warnings"
+"""Under which a log says what is doubtful of its sound."""
+
+BLOCK_S = 0.1
 """Of the log's clock, in each message."""
 
 _FULL_SCALE = 32768.0
@@ -23,12 +26,20 @@ _FULL_SCALE = 32768.0
 def sound_notes_of(sound: Sound) -> dict[str, str]:
     """The notes on a sound that is written to a log."""
     channels = {1: "mono", 2: "stereo"}.get(sound.channels, f"{sound.channels} channels")
-    notes = {
-        _ABOUT: f"{sound.codec}, {sound.file_rate_hz:g} Hz, {channels}",
-        _RATE: repr(float(sound.rate_hz)),
-        _FILE_RATE: repr(float(sound.file_rate_hz)),
-    }
-    return notes | ({"sound_warnings": "; ".join(sound.warnings)} if sound.warnings else {})
+    about = f"{sound.codec}, {sound.file_rate_hz:g} Hz, {channels}"
+    notes = rate_notes(about, sound.rate_hz, sound.file_rate_hz)
+    return notes | ({WARNINGS_NOTE: "; ".join(sound.warnings)} if sound.warnings else {})
+
+
+def rate_notes(about: str, rate_hz: float, told_hz: float) -> dict[str, str]:
+    """What a sound is and how fast, for a log.
+
+    Args:
+        about: in words.
+        rate_hz: samples in a second of the log's clock.
+        told_hz: the same as its file or its microphone says.
+    """
+    return {_ABOUT: about, _RATE: repr(float(rate_hz)), _FILE_RATE: repr(float(told_hz))}
 
 
 def why_not_kept(sound: Sound) -> str:
@@ -60,10 +71,13 @@ def sound_blocks(sound: Sound) -> Iterator[tuple[int, NDArray[np.int16]]]:
     Args:
         sound: all of it.
     """
-    step = max(1, round(_BLOCK_S * sound.rate_hz))
+    step = max(1, round(BLOCK_S * sound.rate_hz))
     begin = max(0, int(np.ceil(-sound.start_ns * 1e-9 * sound.rate_hz)))
     for first in range(begin, len(sound.samples), step):
-        piece = np.round(sound.samples[first : first + step] * _FULL_SCALE)
-        pcm = np.clip(piece, -_FULL_SCALE, _FULL_SCALE - 1).astype(np.int16)
         stamp_ns = sound.start_ns + round(first / sound.rate_hz * 1e9)
-        yield max(stamp_ns, 0), pcm[:, None]
+        yield max(stamp_ns, 0), as_pcm(sound.samples[first : first + step])[:, None]
+
+
+def as_pcm(samples: NDArray[np.float32]) -> NDArray[np.int16]:
+    """Samples of full scale 1 as a log's messages hold them, of the same shape."""
+    return np.clip(np.round(samples * _FULL_SCALE), -_FULL_SCALE, _FULL_SCALE - 1).astype(np.int16)

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Literal
 from recorders.camera.base import Source
 from recorders.camera.even_stamps import stamp_evenly
 from recorders.camera.reading_thread import ReadingThread
-from recorders.camera.sound_blocks import SoundBlocks
+from recorders.camera.sound_blocks import SoundBlocks, WritesSound
 from recorders.camera.video_file import VideoFile
 from recorders.camera.writing_loop import WORTH_A_WORD_S, WritingLoop
 from recorders.session import Summary, stop_flag
 from tunenet_logs.episode import EpisodeInfo
-from tunenet_logs.errors import CameraError, LogError
+from tunenet_logs.errors import CameraError, LogError, MicrophoneError
 from tunenet_logs.late_stamps import STAMPS_NOTE
 from tunenet_logs.measured_rate import FASTEST_CAMERA_HZ, FASTEST_HZ, measured_hz
 from tunenet_logs.messages import CAMERA_TOPIC
@@ -27,6 +27,7 @@ from tunenet_logs.writer import EpisodeWriter
 
 if TYPE_CHECKING:
     from recorders.camera.preview import Preview
+    from recorders.microphone.live_sound import LiveSound
 
 
 @dataclass(frozen=True)
@@ -59,17 +60,22 @@ def record_camera(
     overwrite: bool,
     progress: Progress,
     preview: Preview | None = None,
+    microphone: LiveSound | None = None,
 ) -> Summary:
     """Write a source's frames to a log until it ends, stalls, or is stopped.
 
-    With a preview, from the moment that "record" is pressed there.
+    With a preview, from the moment that "record" is pressed there. A microphone is heard beside a
+    live source, from its first frame on.
 
     Raises:
+        MicrophoneError: it does not start (no log is left).
         CameraError: no frame came (no log is left), or the source failed (what came is kept).
         LogError: `path` exists or cannot be written, or its disk has too little space; what was
             written before is kept.
     """
-    info = replace(info, source=source.name, notes={**info.notes, **source.notes()})
+    heard_notes = microphone.notes() if microphone else {}
+    notes = {**info.notes, **source.notes(), **heard_notes}
+    info = replace(info, source=source.name, notes=notes)
     with (
         closing(source),
         stop_flag() as stop,
@@ -83,9 +89,10 @@ def record_camera(
         progress.bar(None, "recording", "frame") as bar,
     ):
         reader = ReadingThread(source, limits.queue_bytes, counts=preview is None)
-        blocks = _sound_of(source, writer)
+        blocks = microphone or _sound_of(source, writer)
         writer.tally = partial(_tally, reader, blocks)
         loop = WritingLoop(reader, writer, limits, bar, preview, blocks)
+        _listen(microphone, writer)
         reader.start()
         try:
             ended = loop.run(stop)
@@ -128,6 +135,16 @@ def record_camera(
     )
 
 
+def _listen(microphone: LiveSound | None, writer: EpisodeWriter) -> None:
+    if microphone is None:
+        return
+    try:
+        microphone.start()
+    except MicrophoneError:
+        writer.discard()
+        raise
+
+
 def _sound_of(source: Source, writer: EpisodeWriter) -> SoundBlocks | None:
     """What is to be written of a film's sound; a note of the log says what it is, or why not."""
     sound = source.sound() if isinstance(source, VideoFile) else None
@@ -140,7 +157,7 @@ def _sound_of(source: Source, writer: EpisodeWriter) -> SoundBlocks | None:
     return None if why_not else SoundBlocks(sound)
 
 
-def _tally(reader: ReadingThread, sound: SoundBlocks | None) -> dict[str, int]:
+def _tally(reader: ReadingThread, sound: WritesSound | None) -> dict[str, int]:
     """What came: pictures, and blocks of sound beside them."""
     counts = reader.tally()
     counts["captured"] += sound.written if sound else 0

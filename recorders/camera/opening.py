@@ -1,15 +1,24 @@
-"""Opens a camera in a thread of its own: whatever it waits for, Ctrl-C and a deadline work."""
+"""Opens a device in a thread of its own: whatever it waits for, Ctrl-C and a deadline work."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from typing import Generic, Protocol, TypeVar
 
-from recorders.camera.base import Source
 from tunenet_logs.errors import CameraAwayError
 
 
-def opened_within(seconds: float, shown: str, open_source: Callable[[], Source]) -> Source:
+class _Opened(Protocol):
+    def close(self) -> None: ...
+
+
+Opened = TypeVar("Opened", bound=_Opened)
+
+
+def opened_within(
+    seconds: float, shown: str, open_source: Callable[[], Opened], *, what: str = "camera"
+) -> Opened:
     """What `open_source` opens.
 
     Name servers, drivers and libraries in C hold up the thread that calls them, and no signal is
@@ -19,6 +28,7 @@ def opened_within(seconds: float, shown: str, open_source: Callable[[], Source])
         seconds: the longest to wait for it.
         shown: the camera, for an error.
         open_source: raises what it raises here.
+        what: that is opened.
 
     Raises:
         CameraAwayError: it takes longer.
@@ -28,23 +38,23 @@ def opened_within(seconds: float, shown: str, open_source: Callable[[], Source])
     try:
         if not opening.is_done.wait(seconds):
             raise CameraAwayError(
-                f"{shown}: cannot be opened within {seconds:g} s; is the camera on?"
+                f"{shown}: cannot be opened within {seconds:g} s; is the {what} on?"
             )
         return opening.take()
     finally:
         opening.abandon()
 
 
-class _Opening(threading.Thread):
+class _Opening(threading.Thread, Generic[Opened]):
     """A daemon: a camera that never opens must not keep the process."""
 
-    def __init__(self, open_source: Callable[[], Source]) -> None:
-        super().__init__(name="camera opening", daemon=True)
+    def __init__(self, open_source: Callable[[], Opened]) -> None:
+        super().__init__(name="opening", daemon=True)
         self.is_done = threading.Event()
         self._open_source = open_source
         self._lock = threading.Lock()
         self._is_wanted = True
-        self._source: Source | None = None
+        self._source: Opened | None = None
         self._error: BaseException | None = None
 
     def run(self) -> None:
@@ -59,7 +69,7 @@ class _Opening(threading.Thread):
             self._error = error
         self.is_done.set()
 
-    def take(self) -> Source:
+    def take(self) -> Opened:
         """What was opened, once it is done."""
         with self._lock:
             source, self._source = self._source, None

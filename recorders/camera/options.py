@@ -17,6 +17,7 @@ from tunenet_logs.terminal import Progress
 
 if TYPE_CHECKING:
     from recorders.camera.preview import Preview
+    from recorders.microphone.live_sound import LiveSound
 
 _LONGEST_NAME = 100
 """Characters of a ball's or surface's name: it is one line of a log's notes."""
@@ -93,6 +94,14 @@ def camera_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
             help="show a live camera on a page of this machine, and record from there on",
         ),
         add(
+            "--microphone",
+            nargs="?",
+            const="",
+            metavar="NAME",
+            help="hear it beside a live camera: its number or a part of its name (default: the "
+            "system's; one that is not there lists them), or a sound file to play in its place",
+        ),
+        add(
             "--transcode",
             action="store_true",
             default=None,
@@ -127,6 +136,16 @@ def record_camera_as_asked(arguments: argparse.Namespace, path: Path) -> str:
     Raises:
         TuneNetError: it cannot be opened, read or written.
     """
+    from recorders.microphone.options import opened_microphone
+
+    progress = Progress(quiet=arguments.quiet)
+    with opened_microphone(arguments.microphone, arguments.camera, progress.say) as microphone:
+        return _recorded(arguments, path, progress, microphone)
+
+
+def _recorded(
+    arguments: argparse.Namespace, path: Path, progress: Progress, microphone: LiveSound | None
+) -> str:
     from recorders.camera.capture import Limits, record_camera
     from recorders.camera.lasting import lasting_camera
     from recorders.camera.network_options import NetworkOptions, Transport
@@ -173,7 +192,6 @@ def record_camera_as_asked(arguments: argparse.Namespace, path: Path) -> str:
         ),
         transcode=bool(arguments.transcode),
     )
-    progress = Progress(quiet=arguments.quiet)
     if is_asked_again(arguments.camera):
         check_log_name(path, overwrite=arguments.overwrite)  # not after having waited
         source = lasting_camera(
@@ -192,6 +210,7 @@ def record_camera_as_asked(arguments: argparse.Namespace, path: Path) -> str:
             overwrite=arguments.overwrite,
             progress=progress,
             preview=preview,
+            microphone=microphone,
         )
     return f"{source.name}; {summary.in_words('frames')}"
 

@@ -2,10 +2,38 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 from tunenet_logs.messages import AUDIO_TOPIC
 from tunenet_logs.sound import Sound
 from tunenet_logs.sound_notes import sound_blocks
 from tunenet_logs.writer import EpisodeWriter
+
+
+class WritesSound(Protocol):
+    """What writes sound while pictures are written.
+
+    Attributes:
+        written: messages.
+    """
+
+    written: int
+
+    def write_until(self, writer: EpisodeWriter, stamp_ns: int) -> None:
+        """A picture of that stamp is to be written next."""
+        ...
+
+    def tick(self, writer: EpisodeWriter) -> None:
+        """Nothing comes from the camera at the moment."""
+        ...
+
+    def finish(self, writer: EpisodeWriter, until_ns: int) -> None:
+        """No more pictures come; sound that begins before a stamp is wanted still."""
+        ...
+
+    def in_words(self) -> str:
+        """For the last line that a recorder prints."""
+        ...
 
 
 class SoundBlocks:
@@ -37,3 +65,10 @@ class SoundBlocks:
             self.written += 1
             self._heard_s += len(pcm) / self._rate_hz
             self._next = next(self._blocks, None)
+
+    def tick(self, writer: EpisodeWriter) -> None:
+        """Nothing: it is written with the pictures."""
+
+    def finish(self, writer: EpisodeWriter, until_ns: int) -> None:
+        """Write the rest that begins before a stamp."""
+        self.write_until(writer, until_ns)

@@ -90,6 +90,11 @@ def is_asked_again(text: str) -> bool:
     return _kind_of(with_scheme(text)) in _ASKED_AGAIN
 
 
+def is_file(text: str) -> bool:
+    """Whether a source is a file, and no live camera."""
+    return _kind_of(with_scheme(text)) == "a file"
+
+
 def _kind_of(text: str) -> str:
     """The scheme of an address, else what it is."""
     if scheme := scheme_of(text):

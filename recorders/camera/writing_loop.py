@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from recorders.camera.camera_time import CameraTime, Timed
 from recorders.camera.reading_thread import ReadingThread
-from recorders.camera.sound_blocks import SoundBlocks
+from recorders.camera.sound_blocks import WritesSound
 from tunenet_logs.clock import now_ns
 from tunenet_logs.errors import LogError
 from tunenet_logs.gaps import Gap, gap_note
@@ -64,7 +64,7 @@ class WritingLoop:
         limits: Limits,
         bar: Bar,
         preview: Preview | None,
-        sound: SoundBlocks | None = None,
+        sound: WritesSound | None = None,
     ) -> None:
         typestore()  # made here, or the first picture would wait for it
         self.clock = CameraTime(is_told=limits.stamps == "camera")
@@ -102,11 +102,14 @@ class WritingLoop:
             if source.live and not ended and time.monotonic() - heard > patience_s:
                 ended = f"no frame for {patience_s - _SPARE_S:.1f} s"
                 queue.close()
+            if self._sound is not None:
+                self._sound.tick(self._writer)
             self._writer.tick()
             queue.pause()
         self._pass_on(self.clock.rest())
-        if self._sound is not None and not ended:
-            self._sound.write_until(self._writer, self._sound_until_ns)
+        if self._sound is not None:
+            is_cut = bool(ended) and not source.live
+            self._sound.finish(self._writer, 0 if is_cut else self._sound_until_ns)
         failure = "" if self._reader.error is None else str(self._reader.error)
         return ended or source.ended or failure
 

@@ -29,8 +29,9 @@ _FORMAT = "pcm-s16"
 _MOST_CHANNELS = 256
 """Of a sound."""
 
-_SAME_HZ = 0.5
-"""A message's rate is a whole number, which the exact one rounds to."""
+_SAME = 1e-3
+"""Of its rate, that a sound has more or fewer samples on the log's clock: no crystal is so far off,
+and a message's rate is a whole number."""
 
 
 def checked_sound(kind: SoundType) -> Callable[[Any], SoundSample]:
@@ -109,7 +110,7 @@ class _Gathering:
 
     def __init__(self, first: SoundSample, stamp_ns: int, exact_hz: float, file_hz: float) -> None:
         self._like = (first.rate_hz, first.channels)
-        is_close = abs(exact_hz - first.rate_hz) <= _SAME_HZ
+        is_close = abs(exact_hz - first.rate_hz) <= max(0.5, _SAME * first.rate_hz)
         is_told = is_close and RATES_HZ[0] <= file_hz <= RATES_HZ[1]
         self._file_hz = file_hz if is_told else float(first.rate_hz)
         rate_hz = exact_hz if is_close else float(first.rate_hz)
