@@ -143,8 +143,10 @@ def _sound_checks(among: BallAmong, first_s: float, *, symptom: bool) -> tuple[C
     softens = Check(
         "softens as a ball does",
         among.softening_odds > 0,
-        f"{softer:.3g} to 1 against knocks that stay as loud (wanted: 1 to 1)",
-        advice="record one ball that bounces freely, and switch automatic gain off",
+        f"{softer:.3g} to 1 against knocks that stay as loud (wanted: 1 to 1); {among.clipped} "
+        "clipped knocks left out",
+        advice="record one ball that bounces freely, the microphone farther away, without "
+        "automatic gain",
     )
     return alone, softens
 
