@@ -32,7 +32,7 @@ NOT_RUN: Mapping[str, str] = {
     r"python3 -m venv \w+": "Python's own",
     r"\. \S+/activate": "the shell's own",
     r"(ray|rosbag|ros2|ffmpeg|gst-launch-1\.0|jq) .*": "other programs",
-    r"du -sm .*|printf .*|mkdir \w+|\.venv/bin/python -c .*": "the system's own",
+    r"du -sm .*|printf .*|mkdir \w+|(\.venv/bin/)?python -c .*": "the system's own",
 }
 """By what the whole command looks like."""
 

@@ -11,7 +11,7 @@ from analysis.drop.times.checks import off_s
 from analysis.drop.times.detection import TimesDetection
 from analysis.drop.times.motion import simulated_m
 from analysis.record import Tuning
-from analysis.review.drawing import MUTED, OBSERVED, Color, ramp, send_scalars
+from analysis.review.drawing import MUTED, OBSERVED, Color, ramp, send_scalars, ticked
 
 NOT_OURS: Color = (235, 95, 75)
 """Of times that are no impacts."""
@@ -71,7 +71,7 @@ def log_times(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
         origin="/residual",
         name="impacts: simulated - heard [ms], grey: the times' jitter",
         axis_x=shown,
-        axis_y=rrb.ScalarAxis(range=(-reach_ms, reach_ms)),
+        axis_y=rrb.ScalarAxis(range=ticked(-reach_ms, reach_ms)),
         plot_legend=rrb.PlotLegend(visible=False),
     )
     result = rrb.TextDocumentView(origin="/result", name="result")
