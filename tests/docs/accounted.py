@@ -15,6 +15,7 @@ NOT_RUN: Mapping[str, str] = {
     r"tunenet-tune .*--preview.*": "waits for a person at a page",
     r"tunenet-record --camera( 0)?( --ball .*)?( -o \S+)?$": "needs a camera",
     r"tunenet-record --camera 0 --size .*": "needs a camera",
+    r"tunenet-record --camera 0 --microphone.*": "needs a camera and a microphone",
     r"tunenet-record --camera rtsps?://.*": "needs a network camera",
     r"tunenet-record --camera -( -o \S+)?$": "reads what another program sends",
     r"tunenet-record .*--joint-states .*": "needs a ROS 2 network",

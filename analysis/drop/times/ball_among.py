@@ -71,7 +71,7 @@ class BallAmong:
             likely; shape (E,), of no elements where they are not.
         as_loud: other knocks meanwhile that are as loud as its own.
         softening_odds: logarithm of the odds that its knocks soften as a ball's do, against knocks
-            that stay as loud; 0 where too few are below full scale to tell.
+            that stay as loud; None where too few are below full scale to tell.
         clipped: its knocks that are as loud as the recording can tell.
     """
 
@@ -80,7 +80,7 @@ class BallAmong:
     second_odds: float
     earlier_s: Array
     as_loud: int
-    softening_odds: float
+    softening_odds: float | None
     clipped: int
 
 
@@ -209,12 +209,12 @@ def _changes(heard: Onsets, chain: KnockChain) -> list[KnockChain]:
     return found
 
 
-def _softening_odds(ball: HeardBall, loudness_db: Array) -> float:
+def _softening_odds(ball: HeardBall, loudness_db: Array) -> float | None:
     """By the line of loudness, NaN where it is not known, over the log of the impacts' speeds."""
     speeds = np.log10(ball.flown.arriving_m_s[ball.numbers, 0])
     known = np.isfinite(speeds + loudness_db)  # nobody hears how fast it arrives at the first
     if known.sum() < _FEWEST_SOFTENING:
-        return 0.0
+        return None
     speeds, loudness_db = speeds[known], loudness_db[known]
     off = speeds - speeds.mean()
     spread = float(off @ off)

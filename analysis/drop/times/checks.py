@@ -58,8 +58,8 @@ def times_checks(detection: TimesDetection, last: Step, fit: FitResult | None) -
     jitter, most_jitter = figures(1000 * heard.jitter_s, 1000 * _most_jitter_s(heard), 1)
     odds = float(np.exp(min(heard.log_odds, 20.0)))
     is_ball = heard.log_odds > _SURE_ODDS
-    softening_odds = 0.0 if detection.among is None else detection.among.softening_odds
-    rhythm = _no_rhythm(heard, softening_odds)
+    softening_odds = None if detection.among is None else detection.among.softening_odds
+    rhythm = _no_rhythm(heard, softening_odds or 0.0)
     is_beat = not any(check.passed for check in rhythm)
     checks = [
         Check(
@@ -123,7 +123,7 @@ def _heard_how(heard: HeardBall) -> str:
 
 
 def _sound_checks(among: BallAmong, first_s: float, *, symptom: bool) -> tuple[Check, Check]:
-    odds, softer = np.exp(np.clip([among.second_odds, among.softening_odds], -20.0, 20.0)).tolist()
+    odds = float(np.exp(np.clip(among.second_odds, -20.0, 20.0)))
     earlier_s = among.earlier_s
     second = "for a second ball at the same time"
     if len(earlier_s) and among.second_odds > 0:
@@ -140,15 +140,24 @@ def _sound_checks(among: BallAmong, first_s: float, *, symptom: bool) -> tuple[C
         doubts_model=False,
         symptom=symptom,
     )
-    softens = Check(
+    return alone, _softens(among)
+
+
+def _softens(among: BallAmong) -> Check:
+    softening_odds, clipped = among.softening_odds, f"{among.clipped} of its knocks are clipped"
+    if softening_odds is None:
+        detail = f"{clipped}, too many to tell how it softens"
+    else:
+        softer = float(np.exp(np.clip(softening_odds, -20.0, 20.0)))
+        detail = f"{softer:.3g} to 1 against knocks that stay as loud (wanted: 1 to 1); {clipped}"
+    return Check(
         "softens as a ball does",
-        among.softening_odds > 0,
-        f"{softer:.3g} to 1 against knocks that stay as loud (wanted: 1 to 1); {among.clipped} "
-        "clipped knocks left out",
+        softening_odds is not None and softening_odds > 0,
+        detail,
         advice="record one ball that bounces freely, the microphone farther away, without "
         "automatic gain",
+        doubts_model=softening_odds is not None,
     )
-    return alone, softens
 
 
 def _no_rhythm(heard: HeardBall, softening_odds: float) -> tuple[Check, Check]:
