@@ -1,9 +1,7 @@
 """When something knocks in a sound: onsets, each with its uncertainty, its loudness and its colour.
 
 A knock raises many bands at once and within a millisecond; speech, music and an echo's tail rise
-slower, or in few bands. The moment itself is where the sound, whitened by the background before
-it, changes its variance (Akaike's criterion, as seismologists pick the arrival of a wave; Maeda,
-Zisin 38, 1985).
+slower, or in few bands. Its exact moment is picked by `moments`.
 """
 
 from __future__ import annotations
@@ -14,6 +12,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.listening.moments import moment_of
 from tunenet_logs.arrays import Array
 from tunenet_logs.formats.gathered_sound import reduced_hz
 from tunenet_logs.sound import Sound
@@ -44,12 +43,6 @@ _APART = 20
 
 MOST_ONSETS = 400
 """That are kept: those that rise the most."""
-
-_AROUND_S = (0.010, 0.006)
-"""Before and after a rise, where the moment is looked for."""
-
-_WHITENED_S, _ORDER = 0.05, 16
-"""Of background before it, and of the linear prediction that whitens it."""
 
 _ECHO_S, _ECHO_DB = 0.05, 1.0
 """After a knock, in which softer ones are its echoes; and by how much softer."""
@@ -107,7 +100,7 @@ def onsets(sound: Sound) -> Onsets:
     powers = _band_powers(samples, heard_hz)
     rises, before, after = _rises(powers)
     frames = _peaks(rises.mean(axis=0))
-    picked = [_moment(samples, frame * hop, heard_hz) for frame in frames.tolist()]
+    picked = [moment_of(samples, frame * hop, heard_hz) for frame in frames.tolist()]
     own = np.maximum(after[:, frames] - before[:, frames], 1e-12 + 0.05 * after[:, frames])
     colours_db = 10 * np.log10(own)
     at, sds = np.array(picked, dtype=np.float64).reshape(-1, 2).T
@@ -180,39 +173,3 @@ def _peak(samples: Array, at: float, rate_hz: float) -> float:
     """The largest sample of the knock that begins there."""
     begin = max(int(at), 0)
     return float(np.abs(samples[begin : begin + round(_LOUD_S * rate_hz)]).max(initial=0.0))
-
-
-def _moment(samples: Array, at: int, rate_hz: float) -> tuple[float, float]:
-    """Where the sound changes, and the standard deviation of that [samples]."""
-    low = max(at - round(_AROUND_S[0] * rate_hz), 0)
-    high = min(at + round(_AROUND_S[1] * rate_hz), len(samples))
-    begin = max(low - round(_WHITENED_S * rate_hz), 0)
-    piece = _whitened(samples[begin:high], low - begin)
-    if len(piece) < 20:
-        return float(at), 0.001 * rate_hz
-    count = len(piece)
-    squares = np.cumsum(piece**2) + 1e-30
-    left = np.arange(8, count - 8)
-    first = squares[left - 1] / left
-    second = (squares[-1] - squares[left - 1]) / (count - left)
-    cost = 0.5 * (left * np.log(first) + (count - left) * np.log(np.maximum(second, 1e-30)))
-    weights = np.exp(cost.min() - cost)
-    weights /= weights.sum()
-    mean = float(weights @ left)
-    sd = float(np.sqrt(max(weights @ (left - mean) ** 2, 0.0)))
-    return low + mean, sd
-
-
-def _whitened(samples: Array, from_sample: int) -> Array:
-    """What a linear prediction, learnt before `from_sample`, does not foretell from there on."""
-    from scipy.linalg import solve_toeplitz
-    from scipy.signal import lfilter
-
-    background = samples[:from_sample]
-    if len(background) < 4 * _ORDER or not background.any():
-        return np.diff(samples[from_sample:], prepend=0.0)
-    spectrum = np.abs(np.fft.rfft(background, 2 * len(background))) ** 2
-    correlation = np.fft.irfft(spectrum)[: _ORDER + 1] / len(background)
-    correlation[0] *= 1 + 1e-4
-    predicts = solve_toeplitz(correlation[:-1], correlation[1:])
-    return np.asarray(lfilter(np.append(1.0, -predicts), [1.0], samples))[from_sample:]
