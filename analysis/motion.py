@@ -133,7 +133,8 @@ class SoundShare:
     """What sound adds to pictures, or to positions, of a ball.
 
     Attributes:
-        impacts: of the ball that are seen; 0 where its sound was not compared with them.
+        impacts: of the ball up to the last that is seen or heard; 0 where its sound was not
+            compared with what is seen.
         heard: of these, those in the fit; 0 where the sound is not used.
         offset_s: by how much it is later than what is seen [s]; None where it is not used.
         reason: why it is not used; "" where it is.

@@ -51,12 +51,14 @@ def flight_cross_check(detection: AnyDetection, estimate: Array) -> CrossCheck |
 def _by_ear(ear: EarAndEye, value: float) -> CrossCheck | None:
     """Two flights as they are heard, beside those of the ball that the pictures alone show.
 
-    None where no three impacts in a row were heard. What a contact lasts is the fit's to both.
+    None where no three impacts in a row were seen and heard. What a contact lasts is the fit's to
+    both.
     """
     if ear.touches is None or ear.impacts is None:
         return None
     numbers = ear.touches.numbers
-    in_a_row = np.flatnonzero(numbers[2:] - numbers[:-2] == 2)
+    are_seen = numbers[2:] < len(ear.impacts.times_s)
+    in_a_row = np.flatnonzero(are_seen & (numbers[2:] - numbers[:-2] == 2))
     if not len(in_a_row):
         return None
     three = slice(int(in_a_row[0]), int(in_a_row[0]) + 3)

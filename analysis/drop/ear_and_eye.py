@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from analysis.drop.bounce_fit import BounceFit, fit_bounce
-from analysis.drop.bounce_model import OFFSET, TOUCH
+from analysis.drop.bounce_model import OFFSET, TOUCH, BounceSamples
 from analysis.drop.bounce_posterior import BallPosterior, ball_posterior
 from analysis.drop.heard import HeardImpacts
 from analysis.drop.heard_match import (
@@ -16,14 +16,20 @@ from analysis.drop.heard_match import (
     ForetoldImpacts,
     HeardMatch,
     foretold,
+    later_touches,
     match_onsets,
 )
 from analysis.drop.heard_touches import TOUCH_S, HeardTouches
 from analysis.motion import SoundShare
 from analysis.statistics import correlation_time
+from tunenet_logs.arrays import Array
 
-_UNEVEN = 0.0005
-"""Fraction of a flight's duration by which balls leave a law that is fitted to them."""
+_UNEVEN = (0.0005, 0.002, 0.006)
+"""Fractions of a flight's duration by which balls leave a law that is fitted to them: the likeliest
+is taken."""
+
+_MOST_ROUNDS = 3
+"""In each of which later impacts are listened for."""
 
 _MOST_LOST = 8.0
 """Log likelihood of the pictures that sound may take: with more the two contradict each other."""
@@ -61,8 +67,10 @@ class EarAndEye:
     def share(self) -> SoundShare:
         """What a record keeps of it."""
         low, high = self.pictures.interval95[0].tolist()
+        seen = 0 if self.impacts is None else len(self.impacts.times_s)
+        heard = 0 if self.touches is None else int(self.touches.numbers.max()) + 1
         return SoundShare(
-            0 if self.impacts is None else len(self.impacts.times_s),
+            max(seen, heard),
             0 if self.touches is None else len(self.touches.numbers),
             self.offset_s,
             self.reason,
@@ -89,29 +97,55 @@ def with_sound(pictures: BallPosterior, heard: HeardImpacts) -> EarAndEye:
     if match.log_odds < LEAST_LOG_ODDS:
         reason = f"{len(match.touches.numbers)} of its onsets fit the impacts, as chance has it"
         return replace(alone, match=match, reason=reason)
-    fit = _joint_fit(pictures.fit, match)
+    fit = _joint_fit(pictures.fit, match, heard)
     if fit is None or _lost(pictures.fit, fit) > _MOST_LOST:
         return replace(alone, match=match, reason="its onsets contradict the pictures")
     return replace(alone, posterior=ball_posterior(fit), match=match, touches=fit.samples.heard)
 
 
-def _joint_fit(fit: BounceFit, match: HeardMatch) -> BounceFit | None:
+def _joint_fit(fit: BounceFit, match: HeardMatch, heard: HeardImpacts) -> BounceFit | None:
     """The fit to both, without onsets that are far off; None where too few are left."""
-    touches = match.touches
-    flights_s = np.diff(touches.times_s, prepend=np.nan)
-    flights_s[0] = np.max(flights_s[1:])
-    touches = replace(touches, sds_s=np.hypot(touches.sds_s, _UNEVEN * flights_s))
     start = fit.unknowns.copy()
     start[[OFFSET, TOUCH]] = match.offset_s, TOUCH_S
-    while len(touches.numbers) >= FEWEST_HEARD:
-        samples = replace(fit.samples, heard=touches)
-        joint = fit_bounce(samples, start, samples.unknowns, most=60)
-        times_s = samples.touches_s(joint.unknowns, touches.numbers) + joint.unknowns[OFFSET]
+    touches = match.touches
+    joint = _consistent(_likeliest(fit.samples, start, touches))
+    for _ in range(_MOST_ROUNDS):
+        more = None if joint is None else later_touches(joint, heard)
+        if joint is None or more is None:
+            break
+        touches = touches.beside(more)
+        later = _consistent(_likeliest(fit.samples, joint.unknowns, touches))
+        if later is None:
+            break
+        joint = later
+    return joint
+
+
+def _likeliest(samples: BounceSamples, start: Array, touches: HeardTouches) -> BounceFit:
+    """The fit to both with the likeliest of all that a ball may be uneven by."""
+    fits: list[tuple[float, BounceFit]] = []
+    for fraction in _UNEVEN:
+        heard = replace(samples, heard=touches.uneven(fraction))
+        joint = fit_bounce(heard, start, heard.unknowns, most=60)
+        assert joint.samples.heard is not None
+        surer = float(np.log(joint.samples.heard.sds_s).sum())
+        fits.append((joint.cost(fits[0][1].scale if fits else joint.scale) + surer, joint))
+    return min(fits, key=lambda pair: pair[0])[1]
+
+
+def _consistent(fit: BounceFit) -> BounceFit | None:
+    """Without onsets that are far off; None where too few are left."""
+    while True:
+        touches = fit.samples.heard
+        assert touches is not None
+        times_s = fit.samples.touches_s(fit.unknowns, touches.numbers) + fit.unknowns[OFFSET]
         off = np.abs(times_s - touches.times_s) / touches.sds_s
         if off.max() < _LATE_SDS:
-            return joint
-        touches = touches.only(np.arange(len(off)) != off.argmax())
-    return None
+            return fit
+        if len(touches.numbers) <= FEWEST_HEARD:
+            return None
+        kept = replace(fit.samples, heard=touches.only(np.arange(len(off)) != off.argmax()))
+        fit = fit_bounce(kept, fit.unknowns, kept.unknowns, most=60)
 
 
 def _lost(alone: BounceFit, joint: BounceFit) -> float:

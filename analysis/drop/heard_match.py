@@ -12,9 +12,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis.drop.bounce_fit import BounceFit
-from analysis.drop.bounce_model import HIGH, IMPACT
+from analysis.drop.bounce_model import HIGH, IMPACT, OFFSET
 from analysis.drop.bounce_samples import MOST_IMPACTS
 from analysis.drop.heard import HeardImpacts
 from analysis.drop.heard_touches import OFFSET_SD_S, HeardTouches
@@ -48,6 +49,12 @@ _LEAST_RATE_HZ = 1.0
 _MOST_ONSETS = 400
 """Near a drop; a track with more of them has no silence to hear a bounce in."""
 
+_MOST_HEARD, _SHORTEST_S = 25, 0.03
+"""Impacts of a drop that are listened for, and the shortest flight between two."""
+
+_MOST_PASSED_OVER, _MOST_UNSURE_S = 1, 0.004
+"""Later impacts that are not heard, one after the other, and how unsure the next may be."""
+
 _SHORT = 1e-6
 """By which an unknown is moved for a derivative."""
 
@@ -71,26 +78,40 @@ class HeardMatch:
 
 @dataclass(frozen=True, eq=False)
 class ForetoldImpacts:
-    """Impacts by the pictures.
+    """Impacts by a fit.
 
     Attributes:
         times_s: shape (K,).
         covariance: of them [s^2], shape (K, K).
+        first: number of the first of them.
     """
 
     times_s: Array
     covariance: Array
+    first: int = 0
+
+    def told(self, at: int, off_s: float, variance: float) -> ForetoldImpacts:
+        """With one of them measured: by how much it is later, and the variance of that [s^2]."""
+        gain = self.covariance[:, at] / variance
+        covariance = self.covariance - np.outer(gain, self.covariance[at])
+        return replace(self, times_s=self.times_s + gain * off_s, covariance=covariance)
 
 
 def foretold(fit: BounceFit) -> ForetoldImpacts:
-    """The impacts that are within what was fitted, K of them."""
+    """The impacts that are within what was fitted."""
+    count = len(fit.projection().impacts(float(fit.samples.seconds[-1])))
+    return _foretold(fit, np.arange(min(count, MOST_IMPACTS + 1)))
+
+
+def _foretold(fit: BounceFit, numbers: NDArray[np.intp]) -> ForetoldImpacts:
+    """Impacts of these numbers, in a row; late by the offset of a sound that is in the fit."""
     samples, unknowns = fit.samples, fit.unknowns
-    until_s = float(samples.seconds[-1])
-    count = min(len(fit.projection().impacts(until_s)), MOST_IMPACTS + 1)
-    numbers = np.arange(count)
     times_s = samples.touches_s(unknowns, numbers)
-    rows = np.zeros((count, len(fit.free)))
+    rows = np.zeros((len(numbers), len(fit.free)))
     for at, index in enumerate(fit.free):
+        if index == OFFSET:
+            rows[:, at] = 1.0
+            continue
         moved = unknowns.copy()
         moved[index] += _SHORT if unknowns[index] < HIGH[index] - _SHORT else -_SHORT
         rows[:, at] = samples.touches_s(moved, numbers) - times_s
@@ -98,9 +119,46 @@ def foretold(fit: BounceFit) -> ForetoldImpacts:
     factor = max(correlation_time(fit.residuals, len(fit.free)), fit.effective_sample_factor)
     normal, _ = fit.normal_equations()
     covariance = rows @ np.linalg.pinv(normal) @ rows.T * factor
-    uneven = np.cumsum((_UNEVEN * np.diff(times_s, prepend=unknowns[IMPACT])) ** 2)
+    before_s = samples.touches_s(unknowns, numbers[:1] - 1) if numbers[0] else unknowns[IMPACT]
+    uneven = np.cumsum((_UNEVEN * np.diff(times_s, prepend=before_s)) ** 2)
     covariance += np.minimum(uneven[:, None], uneven)
-    return ForetoldImpacts(times_s, covariance)
+    late_s = float(unknowns[OFFSET]) if OFFSET in fit.free else 0.0
+    return ForetoldImpacts(times_s + late_s, covariance, int(numbers[0]))
+
+
+def later_touches(fit: BounceFit, heard: HeardImpacts) -> HeardTouches | None:
+    """Onsets that follow those of a fit to both, each where the ball is to touch next.
+
+    Too low to be seen, later bounces tell most of how the restitution falls with speed.
+
+    Args:
+        fit: with touches.
+        heard: all onsets, on its clock.
+    """
+    assert fit.samples.heard is not None
+    begin = int(fit.samples.heard.numbers.max()) + 1
+    numbers = np.arange(begin, _MOST_HEARD)
+    times_s = fit.samples.touches_s(fit.unknowns, np.arange(begin - 1, _MOST_HEARD))
+    numbers = numbers[np.cumprod(np.diff(times_s) > _SHORTEST_S).astype(bool)]
+    if not len(numbers) or not len(heard.times_s):
+        return None
+    impacts = _foretold(fit, numbers)
+    span_s = float(np.ptp(heard.times_s))
+    rate_hz = max(len(heard.times_s) / max(span_s, 1e-3), _LEAST_RATE_HZ)
+    pairs: list[tuple[int, int]] = []
+    passed_over = 0
+    for at in range(len(numbers)):
+        onset = int(np.abs(heard.times_s - impacts.times_s[at]).argmin())
+        off_s, variance, gained = _compared(impacts, heard, (at, onset), rate_hz)
+        if passed_over > _MOST_PASSED_OVER or variance > _MOST_UNSURE_S**2:
+            break
+        if gained < np.log(1 - _HEARD):
+            passed_over += 1
+            continue
+        pairs.append((int(numbers[at]), onset))
+        impacts = impacts.told(at, off_s, variance)
+        passed_over = 0
+    return _touches(pairs, heard) if pairs else None
 
 
 def match_onsets(impacts: ForetoldImpacts, heard: HeardImpacts) -> HeardMatch | None:
@@ -135,37 +193,52 @@ def _from_pair(
     impacts: ForetoldImpacts, heard: HeardImpacts, pair: tuple[int, int], rate_hz: float
 ) -> tuple[HeardMatch, list[tuple[int, int]]]:
     """The match that one impact and one onset begin."""
-    times_s = impacts.times_s.copy()
-    covariance = impacts.covariance + OFFSET_SD_S**2
-    sds_s = np.maximum(heard.sds_s, _LEAST_SD_S)
-    open_numbers = set(range(len(times_s)))
+    told = replace(impacts, covariance=impacts.covariance + OFFSET_SD_S**2)
+    open_numbers = set(range(len(told.times_s)))
     number, onset = pair
     pairs: list[tuple[int, int]] = []
     log_odds = 0.0
     while True:
-        variance = float(covariance[number, number] + sds_s[onset] ** 2)
-        off_s = float(heard.times_s[onset] - times_s[number])
-        gained = np.log(_HEARD / rate_hz) - 0.5 * off_s**2 / variance
-        gained += -0.5 * np.log(2 * np.pi * variance) + _own_log_odds(heard, onset)
-        is_near = abs(off_s) < _FARTHEST_SDS * np.sqrt(variance)
-        if not pairs or (is_near and gained > np.log(1 - _HEARD)):
+        off_s, variance, gained = _compared(told, heard, (number, onset), rate_hz)
+        if not pairs or gained > np.log(1 - _HEARD):
             log_odds += gained
             pairs.append((number, onset))
-            gain = covariance[:, number] / variance
-            times_s = times_s + gain * off_s
-            covariance = covariance - np.outer(gain, covariance[number])
+            told = told.told(number, off_s, variance)
         else:
             log_odds += np.log(1 - _HEARD)
         open_numbers.discard(number)
         if not open_numbers:
             break
-        number = min(open_numbers, key=lambda one: float(covariance[one, one]))
-        onset = int(np.abs(heard.times_s - times_s[number]).argmin())
+        number = min(open_numbers, key=lambda one: float(told.covariance[one, one]))
+        onset = int(np.abs(heard.times_s - told.times_s[number]).argmin())
     pairs.sort()
-    numbers, onsets = np.array(pairs).T
-    offset_s = float(np.median(heard.times_s[onsets] - impacts.times_s[numbers]))
-    touches = HeardTouches(numbers, heard.times_s[onsets], sds_s[onsets])
+    touches = _touches(pairs, heard)
+    offset_s = float(np.median(touches.times_s - impacts.times_s[touches.numbers]))
     return HeardMatch(touches, offset_s, float(log_odds), len(heard.times_s)), pairs
+
+
+def _compared(
+    impacts: ForetoldImpacts, heard: HeardImpacts, pair: tuple[int, int], rate_hz: float
+) -> tuple[float, float, float]:
+    """An onset with an impact: how much later it is, the variance of that, and its log odds."""
+    at, onset = pair
+    variance = float(impacts.covariance[at, at]) + _sds_s(heard)[onset] ** 2
+    off_s = float(heard.times_s[onset] - impacts.times_s[at])
+    if abs(off_s) > _FARTHEST_SDS * np.sqrt(variance):
+        return off_s, variance, -np.inf
+    gained = np.log(_HEARD / rate_hz) - 0.5 * off_s**2 / variance
+    gained += -0.5 * np.log(2 * np.pi * variance) + _own_log_odds(heard, onset)
+    return off_s, variance, float(gained)
+
+
+def _touches(pairs: list[tuple[int, int]], heard: HeardImpacts) -> HeardTouches:
+    """Of pairs of an impact's number and an onset."""
+    numbers, onsets = np.array(pairs).T
+    return HeardTouches(numbers, heard.times_s[onsets], _sds_s(heard)[onsets])
+
+
+def _sds_s(heard: HeardImpacts) -> Array:
+    return np.maximum(heard.sds_s, _LEAST_SD_S)
 
 
 def _own_log_odds(heard: HeardImpacts, onset: int) -> float:

@@ -41,3 +41,17 @@ class HeardTouches:
             times_s=self.times_s[chosen],
             sds_s=self.sds_s[chosen],
         )
+
+    def beside(self, more: HeardTouches) -> HeardTouches:
+        """And others, which come later."""
+        return HeardTouches(
+            np.concatenate([self.numbers, more.numbers]),
+            np.concatenate([self.times_s, more.times_s]),
+            np.concatenate([self.sds_s, more.sds_s]),
+        )
+
+    def uneven(self, fraction: float) -> HeardTouches:
+        """By a ball that leaves its law by this fraction of a flight's duration."""
+        flights_s = np.diff(self.times_s, prepend=np.nan)
+        flights_s[0] = np.max(flights_s[1:])
+        return replace(self, sds_s=np.hypot(self.sds_s, fraction * flights_s))

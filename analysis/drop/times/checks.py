@@ -146,7 +146,7 @@ def _sound_checks(among: BallAmong, first_s: float, *, symptom: bool) -> tuple[C
 def _softens(among: BallAmong) -> Check:
     softening_odds, clipped = among.softening_odds, f"{among.clipped} of its knocks are clipped"
     if softening_odds is None:
-        detail = f"{clipped}, too many to tell how it softens"
+        detail = f"too few whole knocks to tell how it softens; {clipped}"
     else:
         softer = float(np.exp(np.clip(softening_odds, -20.0, 20.0)))
         detail = f"{softer:.3g} to 1 against knocks that stay as loud (wanted: 1 to 1); {clipped}"

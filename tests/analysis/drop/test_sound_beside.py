@@ -26,6 +26,8 @@ from tunenet_logs.errors import LogError
 
 SEED = 77
 TRACKS = range(3)
+LASTING = 7
+"""A track whose ball is heard for long."""
 
 
 def restitution(tuning: Tuning) -> Estimate:
@@ -58,6 +60,38 @@ def test_sound_beside_positions_narrows_the_interval_and_says_by_how_much():
         assert "impacts heard" in sound_words(heard.record)
         ratios.append(width(heard) / width(deaf))
     assert max(ratios) < 1  # every one, not only most
+
+
+def test_later_bounces_than_the_pictures_tell_are_heard_and_narrow_it_most():
+    track = track_with_sound(SEED, LASTING)
+    assert track.clip.scene.audible > 8
+    detection = tune_episode(track.episode(), Options()).detection
+    assert isinstance(detection, DropDetection)
+    assert detection.ear is not None
+    assert detection.ear.touches is not None
+    assert detection.ear.impacts is not None
+    assert detection.ear.touches.numbers.max() >= len(detection.ear.impacts.times_s)
+    assert len(detection.ear.touches.numbers) <= detection.ear.share.impacts
+    ends = detection.ear.posterior.interval95[0], detection.ear.pictures.interval95[0]
+    assert np.ptp(ends[0]) < np.ptp(ends[1]) / 2
+    assert ends[0][0] < track.restitution < ends[0][1]
+
+
+def test_an_uneven_ball_s_touches_are_trusted_less():
+    """Each flight half a percent from the law."""
+    detection = tune_episode(track_with_sound(SEED, LASTING).episode(), Options()).detection
+    assert isinstance(detection, DropDetection)
+    assert detection.ear is not None
+    pictures, even = detection.ear.pictures, detection.ear.touches
+    assert even is not None
+    flights_s = np.diff(even.times_s) * np.exp(
+        0.005 * np.random.default_rng(3).normal(size=len(even.times_s) - 1)
+    )
+    times_s = even.times_s[0] + np.concatenate([[0.0], np.cumsum(flights_s)])
+    sds_s, half = np.full(len(times_s), 1e-4), np.full(len(times_s), 0.5)
+    found = heard_with(pictures, HeardImpacts(times_s, sds_s, half))
+    assert found.touches is not None, found.reason
+    assert np.median(found.touches.sds_s) > 2 * np.median(even.sds_s)
 
 
 def test_a_record_keeps_what_the_sound_added(tmp_path: Path):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from analysis.evaluation.sound.sound_file import through_aac
 from analysis.listening.onsets import Onsets, onsets
 from tunenet_logs.arrays import Array
 from tunenet_logs.sound import Sound
@@ -103,3 +104,13 @@ def test_clipped_and_inverted_knocks_begin_when_they_do():
     for samples in (np.clip(clean, -0.2, 0.2), -clean):
         heard = onsets(sound_of(samples))
         assert np.abs(heard.times_s[:, None] - TRUE_S).min(axis=0).max() < 0.0005
+
+
+@pytest.mark.parametrize("size", [1e-4, 1e-3])
+def test_what_a_codec_puts_before_a_knock_is_not_its_beginning(size: float):
+    """AAC at 64 kbit/s spreads a knock over the milliseconds before it."""
+    clean = knocks(TRUE_S) + noise(int(3.2 * RATE_HZ), size)
+    packed = through_aac(clean.astype(np.float32), int(RATE_HZ)).astype(np.float64)
+    heard = clear(onsets(sound_of(packed)))
+    late_s = heard.times_s[np.abs(heard.times_s[:, None] - TRUE_S).argmin(axis=0)] - TRUE_S
+    assert np.abs(late_s - np.median(late_s)).max() < 0.0003
