@@ -232,9 +232,11 @@ class BounceSamples:
             Prior({OFFSET: 1.0}, float(unknowns[OFFSET]), OFFSET_SD_S),
             Prior({TOUCH: 1.0}, float(unknowns[TOUCH]) - TOUCH_S, TOUCH_SD_S),
         ]
-        for at, sd_s in enumerate(heard.sds_s.tolist()):
-            row = {index: float(each[at]) for index, each in slopes.items()}
-            found.append(Prior(row, float(off_s[at]), sd_s, HEARD_FREEDOM, measured=True))
+        white = heard.whitening
+        moves = {index: (white @ each).tolist() for index, each in slopes.items()}
+        for at, off in enumerate((white @ off_s).tolist()):
+            row = {index: each[at] for index, each in moves.items()}
+            found.append(Prior(row, off, 1.0, HEARD_FREEDOM, measured=True))
         return found
 
     def _likely(self, unknowns: Array) -> list[Prior]:

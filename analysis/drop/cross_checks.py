@@ -68,7 +68,7 @@ def _by_ear(ear: EarAndEye, value: float) -> CrossCheck | None:
     off = float(np.log(heard_s[1] / heard_s[0]) - np.log(seen_s[1] / seen_s[0]))
     slopes = np.array([1 / seen_s[0], -1 / seen_s[0] - 1 / seen_s[1], 1 / seen_s[1]])
     covariance = ear.impacts.covariance[np.ix_(which, which)]
-    sd = float(np.sqrt(slopes @ (covariance + np.diag(ear.touches.sds_s[three] ** 2)) @ slopes))
+    sd = float(np.sqrt(slopes @ (covariance + ear.touches.covariance[three, three]) @ slopes))
     return CrossCheck.judged(
         "two flights by ear, beside the pictures",
         value * float(np.exp(off)),

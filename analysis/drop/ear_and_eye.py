@@ -24,9 +24,9 @@ from analysis.motion import SoundShare
 from analysis.statistics import correlation_time
 from tunenet_logs.arrays import Array
 
-_UNEVEN = (0.0005, 0.002, 0.006)
-"""Fractions of a flight's duration by which balls leave a law that is fitted to them: the likeliest
-is taken."""
+_SCATTERS = {0.0005: 0.25, 0.002: 0.4, 0.006: 0.25, 0.02: 0.1}
+"""How likely is each standard deviation of an impact's own restitution about the law, as a fraction
+of it; the likeliest by what is seen and heard is taken."""
 
 _MOST_ROUNDS = 3
 """In each of which later impacts are listened for."""
@@ -122,14 +122,14 @@ def _joint_fit(fit: BounceFit, match: HeardMatch, heard: HeardImpacts) -> Bounce
 
 
 def _likeliest(samples: BounceSamples, start: Array, touches: HeardTouches) -> BounceFit:
-    """The fit to both with the likeliest of all that a ball may be uneven by."""
+    """The fit to both with the likeliest of all scatters."""
     fits: list[tuple[float, BounceFit]] = []
-    for fraction in _UNEVEN:
-        heard = replace(samples, heard=touches.uneven(fraction))
-        joint = fit_bounce(heard, start, heard.unknowns, most=60)
-        assert joint.samples.heard is not None
-        surer = float(np.log(joint.samples.heard.sds_s).sum())
-        fits.append((joint.cost(fits[0][1].scale if fits else joint.scale) + surer, joint))
+    for scatter, likely in _SCATTERS.items():
+        scattered = replace(touches, scatter=scatter)
+        both = replace(samples, heard=scattered)
+        joint = fit_bounce(both, start, both.unknowns, most=60)
+        surer = float(np.log(np.diag(scattered.whitening)).sum() + np.log(likely))
+        fits.append((joint.cost(fits[0][1].scale if fits else joint.scale) - surer, joint))
     return min(fits, key=lambda pair: pair[0])[1]
 
 
@@ -139,7 +139,7 @@ def _consistent(fit: BounceFit) -> BounceFit | None:
         touches = fit.samples.heard
         assert touches is not None
         times_s = fit.samples.touches_s(fit.unknowns, touches.numbers) + fit.unknowns[OFFSET]
-        off = np.abs(times_s - touches.times_s) / touches.sds_s
+        off = np.abs(touches.whitening @ (times_s - touches.times_s))
         if off.max() < _LATE_SDS:
             return fit
         if len(touches.numbers) <= FEWEST_HEARD:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,12 +27,28 @@ class HeardTouches:
     Attributes:
         numbers: of the impacts, 0 the first of the drop, shape (N,).
         times_s: on the samples' clock, but late by an offset, shape (N,).
-        sds_s: standard deviations of them, shape (N,).
+        sds_s: standard deviations of the onsets, shape (N,).
+        scatter: of each impact's own restitution about the law, as a fraction.
     """
 
     numbers: NDArray[np.intp]
     times_s: Array
     sds_s: Array
+    scatter: float = 0.0
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Of the times about a law's [s²]: a ball that returns faster flies longer ever after."""
+        known, first = self.numbers, int(self.numbers[0])
+        every_s = np.interp(np.arange(known[-1]), known, self.times_s)
+        every_s[:first] -= (self.times_s[1] - self.times_s[0]) * np.arange(first, 0, -1)
+        later_s = np.maximum(self.times_s[:, None] - every_s, 0.0)
+        return np.diag(self.sds_s**2) + self.scatter**2 * later_s @ later_s.T
+
+    @cached_property
+    def whitening(self) -> Array:
+        """What makes residuals of the times independent and of size 1, shape (N, N)."""
+        return np.linalg.inv(np.linalg.cholesky(self.covariance))
 
     def only(self, chosen: NDArray[np.bool_]) -> HeardTouches:
         """Those of a mask, shape (N,)."""
@@ -44,14 +61,9 @@ class HeardTouches:
 
     def beside(self, more: HeardTouches) -> HeardTouches:
         """And others, which come later."""
-        return HeardTouches(
-            np.concatenate([self.numbers, more.numbers]),
-            np.concatenate([self.times_s, more.times_s]),
-            np.concatenate([self.sds_s, more.sds_s]),
+        return replace(
+            self,
+            numbers=np.concatenate([self.numbers, more.numbers]),
+            times_s=np.concatenate([self.times_s, more.times_s]),
+            sds_s=np.concatenate([self.sds_s, more.sds_s]),
         )
-
-    def uneven(self, fraction: float) -> HeardTouches:
-        """By a ball that leaves its law by this fraction of a flight's duration."""
-        flights_s = np.diff(self.times_s, prepend=np.nan)
-        flights_s[0] = np.max(flights_s[1:])
-        return replace(self, sds_s=np.hypot(self.sds_s, fraction * flights_s))

@@ -20,6 +20,9 @@ _MOST_WRONG = 0.4
 _SURE_ODDS = float(np.log(100.0))
 """Logarithm of the odds against noises at random times."""
 
+_LEAST_SOFTENING = 0.2
+"""Odds for knocks that soften, against such as stay as loud: claps have a hundredth."""
+
 _MOST_AS_LOUD = 2
 """Knocks of others while a ball bounces, as loud as its own."""
 
@@ -149,10 +152,11 @@ def _softens(among: BallAmong) -> Check:
         detail = f"too few whole knocks to tell how it softens; {clipped}"
     else:
         softer = float(np.exp(np.clip(softening_odds, -20.0, 20.0)))
-        detail = f"{softer:.3g} to 1 against knocks that stay as loud (wanted: 1 to 1); {clipped}"
+        wanted = f"(wanted: {_LEAST_SOFTENING} to 1)"
+        detail = f"{softer:.3g} to 1 against knocks that stay as loud {wanted}; {clipped}"
     return Check(
         "softens as a ball does",
-        softening_odds is not None and softening_odds > 0,
+        softening_odds is not None and softening_odds > np.log(_LEAST_SOFTENING),
         detail,
         advice="record one ball that bounces freely, the microphone farther away, without "
         "automatic gain",
