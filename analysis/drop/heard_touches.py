@@ -48,7 +48,8 @@ class HeardTouches:
     @cached_property
     def whitening(self) -> Array:
         """What makes residuals of the times independent and of size 1, shape (N, N)."""
-        return np.linalg.inv(np.linalg.cholesky(self.covariance))
+        rows = np.linalg.inv(np.linalg.cholesky(self.covariance))
+        return np.asarray(rows, dtype=np.float64)
 
     def only(self, chosen: NDArray[np.bool_]) -> HeardTouches:
         """Those of a mask, shape (N,)."""

@@ -37,9 +37,13 @@ toolbox, and by the network's first step."""
 FULL_SYSID = 200
 """Logs of a machine and section for each seed; a twentieth for the network."""
 
-SOUND_SECTIONS = ("alone", "phyphox", "negatives", "films", "unrelated")
+SOUND_SECTIONS = (
+    *("alone", "phyphox", "negatives", "films", "unrelated"),
+    *("uneven", "uneven-films"),
+)
 """Bounces by their sound alone, the same by phyphox's way, sounds that are no bounce, films with
-their sound, and tracks with a sound that is not theirs."""
+their sound, and tracks with a sound that is not theirs; balls whose impacts differ, alone and in
+films."""
 
 FULL_SOUND = 200
 """Clips at a ratio, sounds, films and tracks for each seed."""

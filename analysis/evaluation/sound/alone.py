@@ -28,16 +28,20 @@ class AloneTrial:
         seed: of it.
         number: likewise.
         snr_db: see `loudness.impact_ratio`.
+        uneven: see `BounceOrder`.
     """
 
     seed: int
     number: int
     snr_db: float
+    uneven: float = 0.0
 
     def clip(self) -> SoundClip:
         """It: every second one through AAC."""
         codec = "aac" if self.number % 2 else "pcm"
-        return draw_sound(self.seed, self.number, snr_db=self.snr_db, codec=codec)
+        return draw_sound(
+            self.seed, self.number, snr_db=self.snr_db, codec=codec, uneven=self.uneven
+        )
 
 
 @dataclass(frozen=True)
@@ -50,7 +54,7 @@ class AloneOutcome:
         table: on what it bounced.
         background: what else was heard.
         impacts: how many were loud enough.
-        truth: restitution at the second impact.
+        truth: restitution at the second impact, by the ball's law.
         unnamed: the answer where the ball is not named.
         named: the answer where its size and mass are.
         jitter_s: rms error of the onsets that were used; NaN where there are fewer than three.
@@ -94,7 +98,7 @@ def alone_outcome(trial: AloneTrial) -> AloneOutcome:
         table=scene.table,
         background=clip.background,
         impacts=scene.audible,
-        truth=float(clip.restitutions[1]),
+        truth=float(scene.history.by_law[1]),
         unnamed=unnamed,
         named=named,
         jitter_s=jitter_s,

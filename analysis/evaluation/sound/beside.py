@@ -34,12 +34,14 @@ class BesideTrial:
         seed: of it.
         number: likewise.
         unrelated: sounds of `UNRELATED` that are put beside it in turn.
+        uneven: of a film, see `BounceOrder`.
     """
 
     kind: str
     seed: int
     number: int
     unrelated: tuple[str, ...] = ()
+    uneven: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,7 @@ def beside_outcome(trial: BesideTrial) -> BesideOutcome:
         return _answered(
             trial, clip.background, track.restitution, clip.scene.lasts_s, track.episode
         )
-    film = film_with_sound(trial.seed, trial.number, FILM_SNR_DB)
+    film = film_with_sound(trial.seed, trial.number, FILM_SNR_DB, uneven=trial.uneven)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "film.mp4"
         film.write(path)

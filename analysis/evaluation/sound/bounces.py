@@ -37,6 +37,8 @@ class BounceOrder:
         slope: p of e_n = e_1 (v_n / v_1)^-p.
         drag_1_m: deceleration by the air over speed squared.
         contact_s: how long a contact at 1 m/s lasts.
+        uneven: standard deviation of an impact's own restitution about that law (log).
+        seed: of what each impact is off by.
     """
 
     height_m: float
@@ -44,6 +46,8 @@ class BounceOrder:
     slope: float
     drag_1_m: float
     contact_s: float
+    uneven: float = 0.0
+    seed: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +60,7 @@ class BounceHistory:
         contacts_s: how long they last.
         speeds_m_s: at touch, downward.
         restitutions: speed after over speed before.
+        by_law: what they were without being uneven.
     """
 
     order: BounceOrder
@@ -63,6 +68,7 @@ class BounceHistory:
     contacts_s: Array
     speeds_m_s: Array
     restitutions: Array
+    by_law: Array
 
     def heights_m(self, seconds: Array) -> Array:
         """Over the table at times after the release, shape (T,); in a contact a little below 0."""
@@ -92,16 +98,17 @@ def bounced(order: BounceOrder) -> BounceHistory:
     drag = max(order.drag_1_m, _LEAST_DRAG_1_M)
     clock, speed = fall_of(order.height_m, drag)
     first = speed
-    rows: list[tuple[float, float, float, float]] = []
+    own = np.random.default_rng(order.seed).normal(0.0, order.uneven, _MOST_IMPACTS)
+    rows: list[tuple[float, float, float, float, float]] = []
     while speed > SLOWEST_M_S and len(rows) < _MOST_IMPACTS:
-        kept = min(order.restitution * (speed / first) ** -order.slope, _MOST_RESTITUTION)
+        by_law = min(order.restitution * (speed / first) ** -order.slope, _MOST_RESTITUTION)
+        kept = min(by_law * float(np.exp(own[len(rows)])), _MOST_RESTITUTION)
         contact = order.contact_s * speed**_HERTZ
-        rows.append((clock, contact, speed, kept))
+        rows.append((clock, contact, speed, kept, by_law))
         rise_s, apex_m = rise_of(kept * speed, drag)
         fall_s, speed = fall_of(apex_m, drag)
         clock += contact + rise_s + fall_s
-    touches, contacts, speeds, restitutions = np.array(rows).reshape(-1, 4).T
-    return BounceHistory(order, touches, contacts, speeds, restitutions)
+    return BounceHistory(order, *np.array(rows).reshape(-1, 5).T)
 
 
 def rise_of(speed_m_s: float, drag_1_m: float) -> tuple[float, float]:

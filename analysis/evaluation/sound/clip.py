@@ -182,6 +182,7 @@ def draw_sound(
     background: Background | None = None,
     snr_db: float | None = None,
     codec: Codec = "pcm",
+    uneven: float = 0.0,
 ) -> SoundClip:
     """Clip `number` of a seed: the same bounce whatever background, ratio and codec.
 
@@ -191,8 +192,10 @@ def draw_sound(
         background: None for any.
         snr_db: see `loudness.impact_ratio`; None for 20 to 40.
         codec: what the samples go through.
+        uneven: see `BounceOrder`.
     """
-    scene = draw_scene(np.random.default_rng([_SEEDS + seed, number, *b"bounce"]))
+    rng = np.random.default_rng([_SEEDS + seed, number, *b"bounce"])
+    scene = draw_scene(rng, uneven=uneven)
     rng = np.random.default_rng([_SEEDS + seed, number, *b"background"])
     drawn = BACKGROUNDS[int(rng.integers(len(BACKGROUNDS)))]
     ratio_db = float(rng.uniform(*SNRS_DB))
@@ -223,12 +226,15 @@ def recorded(
     return SoundClip(samples, rate_hz, scene, background, snr_db, codec)
 
 
-def draw_scene(rng: np.random.Generator, lasts_s: float | None = None) -> SoundScene:
+def draw_scene(
+    rng: np.random.Generator, lasts_s: float | None = None, uneven: float = 0.0
+) -> SoundScene:
     """Any ball on any table that is heard at least five times.
 
     Args:
         rng: draws it.
         lasts_s: of the recording after the release; None to end it after 5 to 14 audible impacts.
+        uneven: see `BounceOrder`.
     """
     while True:
         kind = SOUNDING_BALLS[int(rng.integers(len(SOUNDING_BALLS)))]
@@ -240,6 +246,8 @@ def draw_scene(rng: np.random.Generator, lasts_s: float | None = None) -> SoundS
             float(rng.uniform(*SLOPES)),
             ball.drag_1_m,
             ball.contact_s,
+            uneven,
+            int(rng.integers(2**31)) if uneven else 0,
         )
         loudness = float(rng.uniform(*_LOUDNESS))
         history = bounced(order)

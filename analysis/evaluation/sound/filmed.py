@@ -85,7 +85,11 @@ class FilmedSound:
 
 
 def film_with_sound(
-    seed: int, number: int, snr_db: float = 20.0, background: Background | None = None
+    seed: int,
+    number: int,
+    snr_db: float = 20.0,
+    background: Background | None = None,
+    uneven: float = 0.0,
 ) -> FilmedSound:
     """Film `number` of a seed, 30 fps, pictures up to 640 by 360.
 
@@ -94,9 +98,10 @@ def film_with_sound(
         number: likewise.
         snr_db: of the sound; see `loudness.impact_ratio`.
         background: of the sound; None for any.
+        uneven: see `BounceOrder`.
     """
     rng = np.random.default_rng([_SEEDS + seed, number, *b"film"])
-    scene = short_scene(rng)
+    scene = short_scene(rng, uneven)
     bounce = scene.history.order
     ball = DroppedBall(bounce.height_m, bounce.restitution, bounce.slope, bounce.drag_1_m)
     order = replace(
@@ -112,9 +117,9 @@ def film_with_sound(
     return FilmedSound(order, *_heard(scene, snr_db, background, rng))
 
 
-def short_scene(rng: np.random.Generator) -> SoundScene:
+def short_scene(rng: np.random.Generator, uneven: float = 0.0) -> SoundScene:
     """A bounce that is recorded for four seconds after the release at most."""
-    scene = draw_scene(rng)
+    scene = draw_scene(rng, uneven=uneven)
     if scene.lasts_s - scene.release_s <= _LONGEST_S:
         return scene
     end_s = scene.release_s + _LONGEST_S

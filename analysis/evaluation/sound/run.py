@@ -22,6 +22,9 @@ from analysis.evaluation.sound.beside import (
 from analysis.processes import Piece, parallel_map
 from tunenet_logs.terminal import Progress
 
+GOOD_DB, UNEVEN = 20.0, 0.003
+"""Ratio from which on a sound is a good one; an uneven ball's, see `BounceOrder`."""
+
 SoundOutcome = AloneOutcome | NegativeOutcome | BesideOutcome
 
 
@@ -54,6 +57,12 @@ def sound_sections(
                 trials = [Piece(AloneTrial(*pair, snr)) for snr in SNRS_DB for pair in pairs]
                 clips = parallel_map(alone_outcome, trials, order.jobs, progress, (section, "clip"))
             yield section, clips
+        elif section == "uneven":
+            trials = [Piece(AloneTrial(*pair, GOOD_DB, UNEVEN)) for pair in pairs]
+            yield (
+                section,
+                parallel_map(alone_outcome, trials, order.jobs, progress, (section, "clip")),
+            )
         elif section == "negatives":
             pieces = [Piece(pair) for pair in pairs]
             yield (
@@ -62,7 +71,7 @@ def sound_sections(
             )
         else:
             asked = [Piece(_beside(section, *pair)) for pair in pairs]
-            what = "film" if section == "films" else "track"
+            what = asked[0].item.kind if asked else section
             yield (
                 section,
                 parallel_map(beside_outcome, asked, order.jobs, progress, (section, what)),
@@ -70,7 +79,9 @@ def sound_sections(
 
 
 def _beside(section: str, seed: int, number: int) -> BesideTrial:
-    """A film with one unrelated sound beside its own, a track with all of them."""
+    """A film with one unrelated sound beside its own, or none; a track with all of them."""
+    if section == "uneven-films":
+        return BesideTrial("film", seed, number, uneven=UNEVEN)
     if section == "films":
         return BesideTrial("film", seed, number, (UNRELATED[number % len(UNRELATED)],))
     return BesideTrial("track", seed, number, UNRELATED)

@@ -12,11 +12,8 @@ from analysis.evaluation.sound.alone import SNRS_DB, AloneOutcome, NegativeOutco
 from analysis.evaluation.sound.answers import SoundAnswer
 from analysis.evaluation.sound.beside import BesideOutcome
 from analysis.evaluation.sound.bound import MEAN_OF_SD
-from analysis.evaluation.sound.run import SoundOrder, SoundOutcome
+from analysis.evaluation.sound.run import GOOD_DB, SoundOrder, SoundOutcome
 from analysis.evaluation.text import seeds_in_words, table_line
-
-GOOD_DB = 20.0
-"""At this ratio and above, a line for all clips together."""
 
 _VERDICTS = ("ok", "suspect", "rejected")
 
@@ -27,6 +24,8 @@ def sound_table(section: str, outcomes: Sequence[SoundOutcome], order: SoundOrde
         "alone": lambda found: _alone(cast("Sequence[AloneOutcome]", found)),
         "phyphox": lambda found: _phyphox(cast("Sequence[AloneOutcome]", found)),
         "negatives": lambda found: _negatives(cast("Sequence[NegativeOutcome]", found)),
+        "uneven": lambda found: _alone(cast("Sequence[AloneOutcome]", found)),
+        "uneven-films": lambda found: _films(cast("Sequence[BesideOutcome]", found)),
         "films": lambda found: _films(cast("Sequence[BesideOutcome]", found)),
         "unrelated": lambda found: _unrelated(cast("Sequence[BesideOutcome]", found)),
     }
@@ -43,6 +42,9 @@ _HEADS = {
     "negatives": "Sounds that are no bounce of one ball: verdicts.",
     "films": "Films at 30 fps, sound at 20 dB: restitution at the first impact, without and with "
     "their sound.",
+    "uneven": "Each impact returns .3 % more or less than the ball's law says (one standard "
+    "deviation): the law's restitution at the second impact, by sound alone.",
+    "uneven-films": "Films of such balls: the law's restitution at the first impact.",
     "unrelated": "Tracks at 30 Hz with a sound that is not theirs: how far the value moves, in "
     "widths of its interval. Alone: ok by that sound alone.",
 }
@@ -142,7 +144,8 @@ def _films(outcomes: Sequence[BesideOutcome]) -> list[str]:
         lines.append(table_line(cells, widths))
     if both:
         lines.append(_ratios(both))
-    lines += _unrelated(outcomes)
+    if any(one.trial.unrelated for one in outcomes):
+        lines += _unrelated(outcomes)
     return lines
 
 
