@@ -111,9 +111,9 @@ def _joint_fit(fit: BounceFit, match: HeardMatch, heard: HeardImpacts) -> Bounce
     joint = _consistent(_likeliest(fit.samples, start, touches))
     for _ in range(_MOST_ROUNDS):
         more = None if joint is None else later_touches(joint, heard)
-        if joint is None or more is None:
+        if joint is None or more is None or more.numbers[-1] <= touches.numbers[-1]:
             break
-        touches = touches.beside(more)
+        touches = touches.beside(more.only(more.numbers > touches.numbers[-1]))
         later = _consistent(_likeliest(fit.samples, joint.unknowns, touches))
         if later is None:
             break

@@ -83,12 +83,10 @@ class ForetoldImpacts:
     Attributes:
         times_s: shape (K,).
         covariance: of them [s^2], shape (K, K).
-        first: number of the first of them.
     """
 
     times_s: Array
     covariance: Array
-    first: int = 0
 
     def told(self, at: int, off_s: float, variance: float) -> ForetoldImpacts:
         """With one of them measured: by how much it is later, and the variance of that [s^2]."""
@@ -123,7 +121,7 @@ def _foretold(fit: BounceFit, numbers: NDArray[np.intp]) -> ForetoldImpacts:
     uneven = np.cumsum((_UNEVEN * np.diff(times_s, prepend=before_s)) ** 2)
     covariance += np.minimum(uneven[:, None], uneven)
     late_s = float(unknowns[OFFSET]) if OFFSET in fit.free else 0.0
-    return ForetoldImpacts(times_s + late_s, covariance, int(numbers[0]))
+    return ForetoldImpacts(times_s + late_s, covariance)
 
 
 def later_touches(fit: BounceFit, heard: HeardImpacts) -> HeardTouches | None:

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.drop.since_impacts import since_impacts_s
 from tunenet_logs.arrays import Array
 
 OFFSET_SD_S = 0.1
@@ -39,10 +40,7 @@ class HeardTouches:
     @cached_property
     def covariance(self) -> Array:
         """Of the times about a law's [s²]: a ball that returns faster flies longer ever after."""
-        known, first = self.numbers, int(self.numbers[0])
-        every_s = np.interp(np.arange(known[-1]), known, self.times_s)
-        every_s[:first] -= (self.times_s[1] - self.times_s[0]) * np.arange(first, 0, -1)
-        later_s = np.maximum(self.times_s[:, None] - every_s, 0.0)
+        later_s = since_impacts_s(self.times_s, self.numbers)
         return np.diag(self.sds_s**2) + self.scatter**2 * later_s @ later_s.T
 
     @cached_property

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.drop.since_impacts import since_impacts_s
 from analysis.drop.times import impact_prior as priors
 from analysis.drop.times.flight_times import FlightTimes, flights
 from recorders.simulators.base import GRAVITY_M_S2
@@ -40,10 +41,9 @@ class Whitening:
     @classmethod
     def of(cls, times_s: Array, numbers: NDArray[np.int64], ratio_1_s: float) -> Whitening:
         """Of the times that were heard."""
-        every = np.interp(np.arange(numbers.max() + 1), numbers, times_s)
-        later_s = np.maximum(times_s[:, None] - every[None, 1:-1], 0.0)
+        later_s = since_impacts_s(times_s, numbers)[:, 1:]  # the first's is the speed after it
         spread = np.eye(len(times_s)) + ratio_1_s**2 * later_s @ later_s.T
-        rows = np.linalg.inv(np.linalg.cholesky(spread))
+        rows = np.asarray(np.linalg.inv(np.linalg.cholesky(spread)), dtype=np.float64)
         return cls(rows, float(np.log(np.diag(rows)).sum()), ratio_1_s)
 
 
