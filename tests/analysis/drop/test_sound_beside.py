@@ -71,6 +71,7 @@ def test_later_bounces_than_the_pictures_tell_are_heard_and_narrow_it_most():
     assert detection.ear.touches is not None
     assert detection.ear.impacts is not None
     assert detection.ear.touches.numbers.max() >= len(detection.ear.impacts.times_s)
+    assert np.all(np.diff(detection.ear.touches.numbers) > 0)  # each knock once
     assert len(detection.ear.touches.numbers) <= detection.ear.share.impacts
     ends = detection.ear.posterior.interval95[0], detection.ear.pictures.interval95[0]
     assert np.ptp(ends[0]) < np.ptp(ends[1]) / 2
