@@ -15,6 +15,7 @@ from mcap.reader import NonSeekingReader, make_reader
 from tests.conftest import Command, files_no_larger_than, record
 from tunenet_logs.episode import EpisodeInfo
 from tunenet_logs.errors import LogError
+from tunenet_logs.output.mcap_summary import bare_ending
 from tunenet_logs.reader import read_episode
 from tunenet_logs.writer import EpisodeWriter
 
@@ -71,9 +72,14 @@ def heights_in(log: Path, acknowledged: int) -> int:
 @pytest.mark.parametrize("limit", [1200, 4000, 20_000, 60_000, 100_000, 300_001])
 def test_a_file_that_may_not_grow(tmp_path: Path, limit: int, live: bool):
     acknowledged, said = fill(tmp_path, limit, live=live)
-    log = tmp_path / "a.mcap"
-    assert [one.name for one in tmp_path.iterdir()] == ["a.mcap"]
-    assert log.stat().st_size <= limit
+    [log] = tmp_path.iterdir()
+    size = log.stat().st_size
+    assert size <= limit
+    if live and limit - size < len(bare_ending(0)) and log.name == "a.mcap.active":
+        # The clock ends a live one's chunks anywhere, so once in a hundred runs no end fits.
+        assert f"; {acknowledged} of " in said
+        return
+    assert log.name == "a.mcap"
     kept = heights_in(log, acknowledged)
     assert f"; {kept} of " in said
     assert "are kept in a.mcap;" in said
