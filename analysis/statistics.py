@@ -119,23 +119,23 @@ def surer_noise_of(heights: Array) -> float:
     return float(np.sqrt(np.mean(noise**2))) * _TRIMMED
 
 
-def mixture_quantile(probability: float, middles: Array, sd: float, weights: Array) -> float:
-    """Of a mixture of normal distributions of one standard deviation.
+def mixture_quantile(probability: float, middles: Array, sds: Array, weights: Array) -> float:
+    """Of a mixture of normal distributions.
 
     Args:
         probability: from 0 to 1.
         middles: shape (M,).
-        sd: of each.
+        sds: standard deviations, shape (M,).
         weights: adding up to 1, shape (M,).
     """
     from scipy.optimize import brentq
     from scipy.special import ndtr
 
     heavy = weights > _NOTHING
-    middles, weights = middles[heavy], weights[heavy] / weights[heavy].sum()
-    low, high = float(middles.min() - 9 * sd), float(middles.max() + 9 * sd)
+    middles, sds, weights = middles[heavy], sds[heavy], weights[heavy] / weights[heavy].sum()
+    low, high = float((middles - 9 * sds).min()), float((middles + 9 * sds).max())
     end: Any = brentq(
-        lambda value: float(weights @ ndtr((value - middles) / sd)) - probability,
+        lambda value: float(weights @ ndtr((value - middles) / sds)) - probability,
         low,
         high,
         xtol=1e-9,

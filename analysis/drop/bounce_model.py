@@ -147,9 +147,14 @@ class BounceSamples:
             contact=float(unknowns[TOUCH] / np.exp(unknowns[FALL])) if self.heard else 0.0,
         )
 
-    def residuals(self, unknowns: Array) -> Array:
-        """Positions of the ball in the camera of these unknowns less those seen, shape (T,)."""
-        heights = self.bounce(unknowns).heights(self.times(unknowns))
+    def residuals(self, unknowns: Array, ball: Bounce | None = None) -> Array:
+        """Positions of the ball in the camera of these unknowns less those seen, shape (T,).
+
+        Args:
+            unknowns: shape (16,).
+            ball: another than theirs.
+        """
+        heights = (ball or self.bounce(unknowns)).heights(self.times(unknowns))
         shape = projected(heights, float(unknowns[PERSPECTIVE]))
         return unknowns[CONTACT] + unknowns[SPAN] * shape + self._moved(unknowns) - self.positions
 
@@ -202,9 +207,11 @@ class BounceSamples:
         """Of the samples [fall times after the first impact], shape (T,)."""
         return (self.seconds - unknowns[IMPACT]) / np.exp(unknowns[FALL])
 
-    def touches_s(self, unknowns: Array, numbers: NDArray[np.intp]) -> Array:
-        """When impacts begin, by their numbers from 0 [s], shape (N,)."""
-        ball, fall_s = self.bounce(unknowns), float(np.exp(unknowns[FALL]))
+    def touches_s(
+        self, unknowns: Array, numbers: NDArray[np.intp], ball: Bounce | None = None
+    ) -> Array:
+        """When impacts begin, by their numbers from 0 [s], shape (N,); arguments as above."""
+        ball, fall_s = ball or self.bounce(unknowns), float(np.exp(unknowns[FALL]))
         last = max(float(self.seconds[-1] - unknowns[IMPACT]) / fall_s, 0.0)
         starts, _ = ball.flights(_FARTHER * last + 1)
         which = np.minimum(numbers, len(starts) - 1)

@@ -16,16 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from analysis.drop.bounce_fit import BounceFit, fit_bounce
-from analysis.drop.bounce_model import (
-    DRAG,
-    FALL,
-    FREEDOM,
-    KNOWN_DRAG,
-    RESTITUTION,
-    SLOPE,
-    TOUCH,
-)
-from analysis.drop.contact_bound import ContactBound
+from analysis.drop.bounce_likelihood import ANY_RESTITUTION_SD, BallLikelihood, ball_likelihoods
+from analysis.drop.bounce_model import DRAG, FALL, KNOWN_DRAG, RESTITUTION, SLOPE
 from analysis.drop.times.impact_prior import NO_DRAG, NO_SLOPE
 from analysis.statistics import TWO_SIDED, correlation_time, mixture_quantile
 from recorders.simulators.base import GRAVITY_M_S2
@@ -44,9 +36,6 @@ _USUAL_DRAG_1_M, _LOG_DRAG_SD = 0.03, 1.3
 _NODES, _REACH_SDS = 45, 4.5
 """Of the grid along one axis, and how far it goes."""
 
-_WIDEST = (0.3, 0.5)
-"""Standard deviations of slope and drag [1 / drop height] where the samples tell nothing."""
-
 _LEAST_SD = 1e-5
 """Of a restitution: no lens, no clock and no simulator are better."""
 
@@ -58,9 +47,6 @@ _FILM_WIDER = 1.1
 
 _RISE = 0.93 * TWO_SIDED**2 / 2
 """How much less likely the ends are: a t distribution is flatter than the noise of a track."""
-
-_ANY_RESTITUTION_SD = 0.3
-"""Of a restitution of which the samples tell nothing near the fit."""
 
 _UNSURE, _SEARCHED = 0.03, 4
 """Standard deviation of a restitution beyond which the ends are searched for, in so many steps:
@@ -94,20 +80,14 @@ def ball_posterior(fit: BounceFit) -> BallPosterior:
     """Average over all balls that may have made a fit's samples."""
     height_m = GRAVITY_M_S2 * float(np.exp(2 * fit.unknowns[FALL])) / 2
     factor = max(correlation_time(fit.residuals, len(fit.free)), fit.effective_sample_factor)
-    likelihood = _Likelihood.of(fit, factor)
-    grid = _Grid.of(likelihood, fit, height_m)
-    restitution = likelihood.restitution(grid.slopes, grid.drags * height_m)
-    least = _LEAST_SD if fit.samples.in_metres else _LEAST_SD_IN_PICTURE
-    weights = grid.weights
-    sd = float(np.hypot(likelihood.sd_of_all(grid.slopes, grid.drags * height_m, weights), least))
-    means = [float(weights @ one) for one in (restitution, grid.slopes, grid.drags)]
-    axes = (
-        (restitution, sd, weights),
-        _marginal(grid.slopes, grid.slope_step, weights),
-        _marginal(grid.drags, grid.drag_step, weights),
-    )
+    likelihoods = ball_likelihoods(fit, factor)
+    grids = [_Grid.of(one, fit, height_m) for one in likelihoods]
+    logs = np.array([grid.log_evidence for grid in grids])
+    shares = np.exp(logs - logs.max()) / np.exp(logs - logs.max()).sum()
+    axes = [_mixed(axis, shares) for axis in zip(*(grid.axes for grid in grids), strict=True)]
+    means = [float(weights @ middles) for middles, _, weights in axes]
     ends = np.array([[mixture_quantile(at, *axis) for at in (0.025, 0.975)] for axis in axes])
-    wider = _profile_factors(fit, factor, least) * (1 if fit.samples.in_metres else _FILM_WIDER)
+    wider = _profile_factors(fit, factor) * (1 if fit.samples.in_metres else _FILM_WIDER)
     ends[0] = means[0] + (ends[0] - means[0]) * wider
     ends = np.clip(ends, [[0.0], [-np.inf], [0.0]], [[1.0], [np.inf], [np.inf]])
     held = fit.unknowns.copy()
@@ -120,128 +100,29 @@ def ball_posterior(fit: BounceFit) -> BallPosterior:
         values,
         ends,
         final,
-        likelihood.correlation,
+        likelihoods[int(shares.argmax())].correlation,
         np.clip(1 - width / _prior_widths(fit), 0.0, 1.0),
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Likelihood:
-    """The samples' normal approximation about a fit, as a function of slope and drag.
-
-    Attributes:
-        middle: most likely slope and drag times drop height, shape (2,).
-        precision: of the two, shape (2, 2).
-        value: the restitution there.
-        moves: of the restitution, for each of the two, shape (2,).
-        restitution_sd: where the two are known.
-        bound: on the contact's duration, where impacts were heard.
-    """
-
-    middle: Array
-    precision: Array
-    value: float
-    moves: Array
-    restitution_sd: float
-    bound: ContactBound | None = None
-
-    @classmethod
-    def of(cls, fit: BounceFit, factor: float) -> _Likelihood:
-        """Slope and drag are in it without their priors; `factor` samples count as one."""
-        samples = fit.samples
-        jacobian = samples.jacobian(fit.unknowns, fit.free)
-        scale = fit.scale * np.sqrt(factor)
-        weights = (FREEDOM + 1) / (FREEDOM + (fit.residuals / fit.scale) ** 2) / scale**2
-        normal = jacobian.T @ (weights[:, None] * jacobian)
-        gradient = -jacobian.T @ (weights * fit.residuals)
-        for prior in samples.priors(fit.unknowns):
-            if prior.measured or {SLOPE, DRAG}.isdisjoint(prior.slopes):
-                row = np.array([prior.slopes.get(index, 0.0) for index in fit.free])
-                normal += prior.weight * np.outer(row, row)
-                gradient -= prior.weight * prior.off * row
-        known = fit.free.index(RESTITUTION)
-        normal[known, known] += _ANY_RESTITUTION_SD**-2  # a hop that is not seen tells little
-        of_law = np.array([index in (SLOPE, DRAG) for index in fit.free])
-        order = np.array([fit.free.index(SLOPE), fit.free.index(DRAG)])
-        others = np.flatnonzero(~of_law)
-        inverse = np.linalg.pinv(normal[np.ix_(others, others)])
-        across = normal[np.ix_(others, order)]
-        precision = normal[np.ix_(order, order)] - across.T @ inverse @ across
-        pull = gradient[order] - across.T @ inverse @ gradient[others]
-        covariance = np.linalg.inv(precision + np.diag(np.array(_WIDEST) ** -2))
-        here = fit.unknowns[[SLOPE, DRAG]]
-        step = covariance @ pull
-        first = int(np.flatnonzero(others == fit.free.index(RESTITUTION))[0])
-        moves = -(inverse @ across)[first]
-        value = float(fit.unknowns[RESTITUTION] + (inverse @ gradient[others])[first])
-        found = cls(
-            here + step,
-            precision,
-            value + float(moves @ step),
-            moves,
-            float(np.sqrt(inverse[first, first])),
-        )
-        if samples.heard is None:
-            return found
-        lasts = int(np.flatnonzero(others == fit.free.index(TOUCH))[0])
-        lasts_s = float(fit.unknowns[TOUCH] + (inverse @ gradient[others])[lasts])
-        lasts_moves, sd_s = -(inverse @ across)[lasts], float(np.sqrt(inverse[lasts, lasts]))
-        lasts_s += float(lasts_moves @ step)
-        bound = ContactBound(lasts_s, lasts_moves, sd_s, float(inverse[first, lasts]) / sd_s)
-        return replace(found, bound=bound)
-
-    @property
-    def sds(self) -> Array:
-        """Standard deviations of slope and drag, shape (2,)."""
-        return np.sqrt(np.diag(np.linalg.inv(self.precision + np.diag(np.array(_WIDEST) ** -2))))
-
-    @property
-    def correlation(self) -> float:
-        """Of slope and drag."""
-        covariance = np.linalg.inv(self.precision + np.diag(np.array(_WIDEST) ** -2))
-        return float(covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]))
-
-    def log_density(self, slopes: Array, drags: Array) -> Array:
-        """Without a constant, shape (M,), of slopes and drags times drop height."""
-        off = np.column_stack([slopes, drags]) - self.middle
-        log = -0.5 * np.einsum("mi,ij,mj->m", off, self.precision, off)
-        return log if self.bound is None else log + self.bound.log_likelihood(off)
-
-    def restitution(self, slopes: Array, drags: Array) -> Array:
-        """The likeliest restitution for each, shape (M,)."""
-        off = np.column_stack([slopes, drags]) - self.middle
-        found = self.value + off @ self.moves
-        return found if self.bound is None else found + self.bound.restitution_moved(off)
-
-    def sd_of_all(self, slopes: Array, drags: Array, weights: Array) -> float:
-        """Of the restitution where slope and drag are known, over all that they may be."""
-        if self.bound is None:
-            return self.restitution_sd
-        off = np.column_stack([slopes, drags]) - self.middle
-        taken = float(weights @ self.bound.variance_taken(off))
-        return float(np.sqrt(max(self.restitution_sd**2 - taken, 0.0)))
+_Axis = tuple[Array, Array, Array]
+"""A mixture of normal distributions: their middles, standard deviations and weights, shape (M,)."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Grid:
-    """Balls, and how likely each is: shape (M,) each.
+    """Balls over slope and drag, and how likely they are by one likelihood.
 
     Attributes:
-        slopes: p.
-        drags: [1/m].
-        weights: adding up to 1.
-        slope_step: between neighbours, by which the marginal is smoothed.
-        drag_step: likewise.
+        axes: of the restitution, the slope and the drag [1/m].
+        log_evidence: logarithm of the likelihood, averaged over them.
     """
 
-    slopes: Array
-    drags: Array
-    weights: Array
-    slope_step: float
-    drag_step: float
+    axes: tuple[_Axis, _Axis, _Axis]
+    log_evidence: float
 
     @classmethod
-    def of(cls, likelihood: _Likelihood, fit: BounceFit, height_m: float) -> _Grid:
+    def of(cls, likelihood: BallLikelihood, fit: BounceFit, height_m: float) -> _Grid:
         """Around where the samples put slope and drag, and where there is none of them."""
         middle, sds = likelihood.middle, likelihood.sds
         slopes, slope_step = _nodes(float(middle[0]), float(sds[0]), -0.05, 0.45)
@@ -265,13 +146,34 @@ class _Grid:
         log = likelihood.log_density(flat_slopes, flat_drags * height_m)
         log += np.log(np.maximum(prior, 1e-300))
         weights = np.exp(log - log.max())
-        return cls(flat_slopes, flat_drags, weights / weights.sum(), slope_step, drag_step)
+        log_evidence = float(log.max() + np.log(weights.sum()))
+        weights /= weights.sum()
+        restitution = likelihood.restitution(flat_slopes, flat_drags * height_m)
+        sd = likelihood.sd_of_all(flat_slopes, flat_drags * height_m, weights)
+        sd = float(np.hypot(sd, _least_sd(fit)))
+        axes = (
+            (restitution, np.full(len(restitution), sd), weights),
+            _marginal(flat_slopes, slope_step, weights),
+            _marginal(flat_drags, drag_step, weights),
+        )
+        return cls(axes, log_evidence)
 
 
-def _marginal(values: Array, sd: float, weights: Array) -> tuple[Array, float, Array]:
+def _mixed(axes: tuple[_Axis, ...], shares: Array) -> _Axis:
+    """Several of them as one, each with its share."""
+    middles, sds, weights = zip(*axes, strict=True)
+    shared = [share * one for share, one in zip(shares, weights, strict=True)]
+    return np.concatenate(middles), np.concatenate(sds), np.concatenate(shared)
+
+
+def _marginal(values: Array, sd: float, weights: Array) -> _Axis:
     """Each value once, the standard deviation about it, and the weight of all that have it."""
     once, which = np.unique(values, return_inverse=True)
-    return once, sd, np.bincount(which, weights).astype(np.float64)
+    return once, np.full(len(once), sd), np.bincount(which, weights).astype(np.float64)
+
+
+def _least_sd(fit: BounceFit) -> float:
+    return _LEAST_SD if fit.samples.in_metres else _LEAST_SD_IN_PICTURE
 
 
 def _nodes(middle: float, sd: float, low: float, high: float) -> tuple[Array, float]:
@@ -303,15 +205,17 @@ def _prior_widths(fit: BounceFit) -> Array:
     return np.array([slope, _USUAL_DRAG_1_M * np.exp(TWO_SIDED * _LOG_DRAG_SD)])
 
 
-def _profile_factors(fit: BounceFit, factor: float, least: float) -> Array:
+def _profile_factors(fit: BounceFit, factor: float) -> Array:
     """How much farther than a normal likelihood has them the restitution's ends are, shape (2,).
 
-    All else is fitted anew where the normal likelihood ends, but a contact's duration, which is
-    bounded.
+    All else is fitted anew where the normal likelihood ends. Impacts that are heard, too, keep the
+    normal one: a fit has no unknowns for each impact's own restitution.
     """
-    fit = replace(fit, free=tuple(index for index in fit.free if index != TOUCH))
+    if fit.samples.heard is not None:
+        return np.ones(2)
+    least = _least_sd(fit)
     normal, _ = fit.normal_equations()
-    normal[0, 0] += _ANY_RESTITUTION_SD**-2
+    normal[0, 0] += ANY_RESTITUTION_SD**-2
     variance = float(np.linalg.pinv(normal)[0, 0]) * factor
     sd = max(float(np.sqrt(max(variance, 0.0))), least)
     if sd < _UNSURE:

@@ -62,11 +62,10 @@ def sharp(fit: BounceFit) -> BounceSamples:
     times = samples.times(unknowns)
     ball = samples.bounce(unknowns)
     starts, speeds = ball.flights(float(times[-1]))
-    arriving = np.array([ball.impact_speed, *(ball.flight(one)[1] for one in speeds[:-1].tolist())])
     fall_s = float(np.exp(unknowns[FALL]))
     reach = np.maximum(
         samples.exposure_s / 2 / fall_s,
-        fit.scale / float(unknowns[SPAN]) / np.maximum(arriving + speeds, 1e-9),
+        fit.scale / float(unknowns[SPAN]) / np.maximum(ball.arrivals(speeds) + speeds, 1e-9),
     )
     if correlation_time(fit.residuals, len(fit.free)) > 1:
         reach = np.maximum(reach, _AT_IMPACT * float(np.median(np.diff(times))))

@@ -19,14 +19,10 @@ from analysis.drop.heard_match import (
     later_touches,
     match_onsets,
 )
-from analysis.drop.heard_touches import TOUCH_S, HeardTouches
+from analysis.drop.heard_touches import SCATTERS, TOUCH_S, HeardTouches
 from analysis.motion import SoundShare
 from analysis.statistics import correlation_time
 from tunenet_logs.arrays import Array
-
-_SCATTERS = {0.0005: 0.25, 0.002: 0.4, 0.006: 0.25, 0.02: 0.1}
-"""How likely is each standard deviation of an impact's own restitution about the law, as a fraction
-of it; the likeliest by what is seen and heard is taken."""
 
 _MOST_ROUNDS = 3
 """In each of which later impacts are listened for."""
@@ -124,7 +120,7 @@ def _joint_fit(fit: BounceFit, match: HeardMatch, heard: HeardImpacts) -> Bounce
 def _likeliest(samples: BounceSamples, start: Array, touches: HeardTouches) -> BounceFit:
     """The fit to both with the likeliest of all scatters."""
     fits: list[tuple[float, BounceFit]] = []
-    for scatter, likely in _SCATTERS.items():
+    for scatter, likely in SCATTERS.items():
         scattered = replace(touches, scatter=scatter)
         both = replace(samples, heard=scattered)
         joint = fit_bounce(both, start, both.unknowns, most=60)

@@ -20,6 +20,10 @@ TOUCH_S, TOUCH_SD_S = 0.002, 0.0025
 HEARD_FREEDOM = 4.0
 """Degrees of freedom of Student's t of a heard time: an onset may be an echo's."""
 
+SCATTERS = {0.0005: 0.5, 0.002: 0.3, 0.006: 0.15, 0.02: 0.05}
+"""How likely is each standard deviation of an impact's own restitution about the law, as a fraction
+of it."""
+
 
 @dataclass(frozen=True, eq=False)
 class HeardTouches:

@@ -165,11 +165,15 @@ class TrackedSound:
 
 
 def track_with_sound(
-    seed: int, number: int, snr_db: float = 20.0, background: Background | None = None
+    seed: int,
+    number: int,
+    snr_db: float = 20.0,
+    background: Background | None = None,
+    uneven: float = 0.0,
 ) -> TrackedSound:
     """Track `number` of a seed; see `film_with_sound`."""
     rng = np.random.default_rng([_SEEDS + seed, number, *b"track"])
-    scene = short_scene(rng)
+    scene = short_scene(rng, uneven)
     seconds = np.arange(0.0, scene.lasts_s, 1 / FILM_HZ)
     positions = np.tile([*rng.uniform(-1, 1, 2), rng.uniform(0, 1)], (len(seconds), 1))
     positions[:, 2] += scene.history.heights_m(seconds - scene.release_s)

@@ -129,6 +129,10 @@ class Bounce:
             speeds[-1] = 0.0
         return np.array(starts), np.array(speeds)
 
+    def arrivals(self, speeds: Array) -> Array:
+        """Speeds of the impacts that flights begin with, shape (N,), of `flights`' speeds (N,)."""
+        return np.array([self.impact_speed, *(self.flight(one)[1] for one in speeds[:-1].tolist())])
+
     @property
     def impact_speed(self) -> float:
         """At the end of the fall [drop heights, sqrt(2 H / g)]."""

@@ -1,0 +1,242 @@
+"""Samples of a ball near their fit: a likelihood that is normal in all unknowns.
+
+All but slope and drag are averaged over in closed form. Where impacts were heard, each may return
+the ball a little faster or slower than the law has it: these deviations are unknowns, too, which
+pictures and sound share, and how large they are is left open (`SCATTERS`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.drop.bounce_fit import BounceFit
+from analysis.drop.bounce_model import DRAG, FREEDOM, RESTITUTION, SLOPE, TOUCH
+from analysis.drop.contact_bound import ContactBound
+from analysis.drop.heard_touches import SCATTERS
+from analysis.drop.own_restitutions import moved_by_own
+from tunenet_logs.arrays import Array
+
+WIDEST = (0.3, 0.5)
+"""Standard deviations of slope and drag [1 / drop height] where the samples tell nothing."""
+
+ANY_RESTITUTION_SD = 0.3
+"""Of a restitution of which the samples tell nothing near the fit."""
+
+_REWEIGHTED = 6
+"""Times that samples are weighed anew by how far they are off, where deviations explain it."""
+
+
+@dataclass(frozen=True, eq=False)
+class BallLikelihood:
+    """The likelihood as a function of slope and drag, without their priors.
+
+    Attributes:
+        middle: most likely slope and drag times drop height, shape (2,).
+        precision: of the two, shape (2, 2).
+        value: the restitution there.
+        moves: of the restitution, for each of the two, shape (2,).
+        restitution_sd: where the two are known.
+        log_evidence: logarithm of the likelihood there, without a constant.
+        bound: on the contact's duration, where impacts were heard.
+    """
+
+    middle: Array
+    precision: Array
+    value: float
+    moves: Array
+    restitution_sd: float
+    log_evidence: float = 0.0
+    bound: ContactBound | None = None
+
+    @property
+    def sds(self) -> Array:
+        """Standard deviations of slope and drag, shape (2,)."""
+        return np.sqrt(np.diag(np.linalg.inv(self.precision + np.diag(np.array(WIDEST) ** -2))))
+
+    @property
+    def correlation(self) -> float:
+        """Of slope and drag."""
+        covariance = np.linalg.inv(self.precision + np.diag(np.array(WIDEST) ** -2))
+        return float(covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]))
+
+    def log_density(self, slopes: Array, drags: Array) -> Array:
+        """Without a constant, shape (M,), of slopes and drags times drop height."""
+        off = np.column_stack([slopes, drags]) - self.middle
+        log = self.log_evidence - 0.5 * np.einsum("mi,ij,mj->m", off, self.precision, off)
+        return log if self.bound is None else log + self.bound.log_likelihood(off)
+
+    def restitution(self, slopes: Array, drags: Array) -> Array:
+        """The likeliest restitution for each, shape (M,)."""
+        off = np.column_stack([slopes, drags]) - self.middle
+        found = self.value + off @ self.moves
+        return found if self.bound is None else found + self.bound.restitution_moved(off)
+
+    def sd_of_all(self, slopes: Array, drags: Array, weights: Array) -> float:
+        """Of the restitution where slope and drag are known, over all that they may be."""
+        if self.bound is None:
+            return self.restitution_sd
+        off = np.column_stack([slopes, drags]) - self.middle
+        taken = float(weights @ self.bound.variance_taken(off))
+        return float(np.sqrt(max(self.restitution_sd**2 - taken, 0.0)))
+
+
+def ball_likelihoods(fit: BounceFit, factor: float) -> list[BallLikelihood]:
+    """Of a fit's samples: one, and where impacts were heard one for each scatter.
+
+    Args:
+        fit: of all unknowns of its samples.
+        factor: how many samples count as one.
+    """
+    if fit.samples.heard is None:
+        linear = _Linear.of(fit, factor)
+        return [_of_law(fit, *linear.equations(*linear.weights()))]
+    law = replace(fit.samples, heard=replace(fit.samples.heard, scatter=0.0))
+    linear = _Linear.of(replace(fit, samples=law), factor)
+    own = np.arange(len(fit.free), linear.jacobian.shape[1])
+    known = np.diag(_known(fit, len(own)))
+    weights = linear.weights()[0], np.ones(len(linear.off))
+    for _ in range(_REWEIGHTED):
+        normal, gradient = linear.equations(*weights)
+        peaks = [_peak(one + known, gradient) for one in _scattered(normal, own)]
+        log = np.array([peak[1] for peak in peaks]) + _log_priors(len(own))
+        likely = np.exp(log - log.max())
+        weights = linear.weights(likely @ np.array([peak[0] for peak in peaks]) / likely.sum())
+    normal, gradient = linear.equations(*weights)
+    found = [_of_law(fit, one, gradient) for one in _scattered(normal, own)]
+    return [
+        replace(one, log_evidence=one.log_evidence + float(prior))
+        for one, prior in zip(found, _log_priors(len(own)), strict=True)
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class _Linear:
+    """A fit's samples and what is known beside them, linear in the unknowns about it.
+
+    Attributes:
+        jacobian: of the positions over the fit's unknowns, and over each impact's deviation from
+            the law where impacts were heard, shape (T, U).
+        residuals: shape (T,).
+        scale: of a residual.
+        factor: how many samples count as one.
+        rows: of the priors, in their standard deviations, shape (P, U).
+        off: likewise, shape (P,).
+        freedom: of each prior's t, shape (P,).
+    """
+
+    jacobian: Array
+    residuals: Array
+    scale: float
+    factor: float
+    rows: Array
+    off: Array
+    freedom: Array
+
+    @classmethod
+    def of(cls, fit: BounceFit, factor: float) -> _Linear:
+        """Slope and drag are in it without their priors."""
+        samples, free = fit.samples, fit.free
+        priors = [
+            one
+            for one in samples.priors(fit.unknowns)
+            if one.measured or {SLOPE, DRAG}.isdisjoint(one.slopes)
+        ]
+        rows = np.array([[one.slopes.get(index, 0.0) / one.sd for index in free] for one in priors])
+        jacobian = samples.jacobian(fit.unknowns, free)
+        if samples.heard is not None:
+            own, touches = moved_by_own(samples, fit.unknowns)
+            beside = np.zeros((len(rows), own.shape[1]))
+            beside[[one.measured for one in priors]] = samples.heard.whitening @ touches
+            jacobian, rows = np.hstack([jacobian, own]), np.hstack([rows, beside])
+        off = np.array([one.off / one.sd for one in priors])
+        freedom = np.array([one.freedom for one in priors])
+        return cls(jacobian, fit.residuals, fit.scale, factor, rows, off, freedom)
+
+    def weights(self, step: Array | None = None) -> tuple[Array, Array]:
+        """Of the samples and of the priors, by how far they are off after a step, shape (U,)."""
+        residuals, off = self.residuals, self.off
+        if step is not None:
+            residuals, off = residuals + self.jacobian @ step, off + self.rows @ step
+        seen = (FREEDOM + 1) / (FREEDOM + (residuals / self.scale) ** 2)
+        is_normal = np.isinf(self.freedom)
+        freedom = np.where(is_normal, 1.0, self.freedom)
+        likely = np.where(is_normal, 1.0, (freedom + 1) / (freedom + off**2))
+        return seen / (self.scale**2 * self.factor), likely
+
+    def equations(self, seen: Array, likely: Array) -> tuple[Array, Array]:
+        """The matrix, and minus the gradient, for such weights."""
+        normal = self.jacobian.T @ (seen[:, None] * self.jacobian)
+        normal += self.rows.T @ (likely[:, None] * self.rows)
+        gradient = -self.jacobian.T @ (seen * self.residuals) - self.rows.T @ (likely * self.off)
+        return normal, gradient
+
+
+def _scattered(normal: Array, own: NDArray[np.intp]) -> list[Array]:
+    """With each scatter as the standard deviation of the deviations."""
+    found: list[Array] = []
+    for scatter in SCATTERS:
+        found.append(normal.copy())
+        found[-1][own, own] += scatter**-2
+    return found
+
+
+def _log_priors(count: int) -> Array:
+    """Of each scatter, with what the densities of so many deviations are divided by."""
+    return np.log(list(SCATTERS.values())) - count * np.log(list(SCATTERS))
+
+
+def _known(fit: BounceFit, more: int) -> Array:
+    """What is known of a fit's unknowns at least, as weights, shape (U,)."""
+    least = {RESTITUTION: ANY_RESTITUTION_SD, SLOPE: WIDEST[0], DRAG: WIDEST[1]}
+    return np.array([least.get(index, np.inf) for index in fit.free] + [np.inf] * more) ** -2
+
+
+def _peak(normal: Array, gradient: Array) -> tuple[Array, float]:
+    """Where a normal likelihood is highest, and the logarithm of what is below it."""
+    unit = 1 / np.sqrt(np.diag(normal))
+    scaled = normal * np.outer(unit, unit)
+    step = unit * np.linalg.lstsq(scaled, unit * gradient, rcond=None)[0]
+    log = 0.5 * gradient @ step - 0.5 * np.linalg.slogdet(scaled)[1] + np.log(unit).sum()
+    return step, float(log)
+
+
+def _of_law(fit: BounceFit, normal: Array, gradient: Array) -> BallLikelihood:
+    """As a function of slope and drag: all else is averaged over."""
+    free = list(fit.free)
+    normal = normal.copy()
+    known = free.index(RESTITUTION)
+    normal[known, known] += ANY_RESTITUTION_SD**-2  # a hop that is not seen tells little
+    order = np.array([free.index(SLOPE), free.index(DRAG)])
+    others = np.delete(np.arange(len(normal)), order)
+    inverse = np.linalg.pinv(normal[np.ix_(others, others)])
+    across = normal[np.ix_(others, order)]
+    precision = normal[np.ix_(order, order)] - across.T @ inverse @ across
+    pull = gradient[order] - across.T @ inverse @ gradient[others]
+    step = np.linalg.inv(precision + np.diag(np.array(WIDEST) ** -2)) @ pull
+    log = _peak(normal[np.ix_(others, others)], gradient[others])[1]
+
+    def alone(index: int) -> tuple[float, Array, int]:
+        """An unknown's likeliest value there, how it moves with the two, and its row."""
+        at = int(np.flatnonzero(others == free.index(index))[0])
+        moves = -(inverse @ across)[at]
+        value = fit.unknowns[index] + (inverse @ gradient[others])[at] + moves @ step
+        return float(value), moves, at
+
+    value, moves, at = alone(RESTITUTION)
+    found = BallLikelihood(
+        fit.unknowns[[SLOPE, DRAG]] + step,
+        precision,
+        value,
+        moves,
+        float(np.sqrt(inverse[at, at])),
+        log + float(pull @ step - 0.5 * step @ precision @ step),
+    )
+    if fit.samples.heard is None:
+        return found
+    lasts_s, lasts_moves, row = alone(TOUCH)
+    sd_s = float(np.sqrt(inverse[row, row]))
+    bound = ContactBound(lasts_s, lasts_moves, sd_s, float(inverse[at, row]) / sd_s)
+    return replace(found, bound=bound)
