@@ -25,6 +25,9 @@ WIDEST = (0.3, 0.5)
 ANY_RESTITUTION_SD = 0.3
 """Of a restitution of which the samples tell nothing near the fit."""
 
+_UNKNOWN = 1e-12
+"""Added to each unknown's weight, of one: some that no sample moves are left where they are."""
+
 _REWEIGHTED = 6
 """Times that samples are weighed anew by how far they are off, where deviations explain it."""
 
@@ -196,9 +199,10 @@ def _known(fit: BounceFit, more: int) -> Array:
 
 def _peak(normal: Array, gradient: Array) -> tuple[Array, float]:
     """Where a normal likelihood is highest, and the logarithm of what is below it."""
-    unit = 1 / np.sqrt(np.diag(normal))
-    scaled = normal * np.outer(unit, unit)
-    step = unit * np.linalg.lstsq(scaled, unit * gradient, rcond=None)[0]
+    diagonal = np.diag(normal)
+    unit = np.where(diagonal > 0, diagonal, 1.0) ** -0.5
+    scaled = normal * np.outer(unit, unit) + _UNKNOWN * np.eye(len(unit))
+    step = unit * np.linalg.solve(scaled, unit * gradient)
     log = 0.5 * gradient @ step - 0.5 * np.linalg.slogdet(scaled)[1] + np.log(unit).sum()
     return step, float(log)
 
