@@ -5,6 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from analysis.drop.bounce_fit import BounceFit
+from analysis.drop.bounce_likelihood import ball_likelihoods
+from analysis.drop.bounce_model import (
+    CONTACT,
+    DRAG,
+    FALL,
+    HIGH,
+    IMPACT,
+    RESTITUTION,
+    SLOPE,
+    SPAN,
+    BounceSamples,
+)
 from analysis.drop.bounce_posterior import BallPosterior, ball_posterior
 from analysis.drop.free_fall import Drop, find_drops
 from analysis.drop.positions_fit import fit_positions
@@ -189,6 +202,18 @@ def test_too_few_samples_give_no_fit():
     few = slice(24, 33)
     parts = {**vars(drop), "seconds": drop.seconds[few], "heights_m": drop.heights_m[few]}
     assert fit_positions(Drop(**parts)) is None
+
+
+def test_a_fit_with_unknowns_that_no_sample_moves_is_judged():
+    """The ball lay before the first sample: neither when it fell nor how far moves any."""
+    seconds = np.linspace(0, 1, 60)
+    noise = np.random.default_rng(1).normal(0, 1e-3, 60)
+    samples = BounceSamples(seconds, noise, 1e-3, in_metres=True)
+    unknowns = np.zeros(len(HIGH))
+    unknowns[[RESTITUTION, IMPACT, FALL, SPAN]] = 0.005, -1.0, -0.3, 0.5
+    free = (RESTITUTION, IMPACT, FALL, CONTACT, SPAN, SLOPE, DRAG)
+    (likelihood,) = ball_likelihoods(BounceFit(samples, unknowns, free, noise, 1e-3), 1.0)
+    assert np.isfinite([likelihood.log_evidence, likelihood.value, *likelihood.middle]).all()
 
 
 def test_a_smoothed_track_is_no_surer_than_the_samples_it_was_made_of():
