@@ -1,0 +1,22 @@
+"""Whether a log is made again as it is kept, on whatever processor."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from tunenet_logs.reader import read_episode
+
+
+def assert_same_log(made: Path, kept: Path) -> None:
+    """To the byte; signals to the last bits of sines and logarithms, where processors differ."""
+    if made.read_bytes() == kept.read_bytes():
+        return
+    one, other = read_episode(made), read_episode(kept)
+    assert one.info == other.info, kept.name
+    assert one.signals, f"{kept.name}: other pictures"
+    assert one.signals.keys() == other.signals.keys()
+    for topic, signal in one.signals.items():
+        np.testing.assert_array_equal(signal.stamps_ns, other.signals[topic].stamps_ns)
+        np.testing.assert_allclose(signal.values, other.signals[topic].values, rtol=0, atol=1e-9)
