@@ -17,6 +17,9 @@ def assert_same_log(made: Path, kept: Path) -> None:
     assert one.info == other.info, kept.name
     assert one.signals, f"{kept.name}: other pictures"
     assert one.signals.keys() == other.signals.keys()
+    differs = False
     for topic, signal in one.signals.items():
+        differs |= not np.array_equal(signal.values, other.signals[topic].values)
         np.testing.assert_array_equal(signal.stamps_ns, other.signals[topic].stamps_ns)
-        np.testing.assert_allclose(signal.values, other.signals[topic].values, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(signal.values, other.signals[topic].values, rtol=0, atol=1e-12)
+    assert differs, f"{kept.name}: the same signals, but other bytes"
