@@ -199,12 +199,6 @@ def test_tuning_never_loads_torch():
     assert result.stdout.strip() == "False", result.stderr
 
 
-def test_a_file_is_one_idea():
-    lines = {name_of(path): len(path.read_text().splitlines()) for path in FILES}
-    long = [f"{name} has {count} lines" for name, count in lines.items() if count > 350]
-    assert not long, "\n".join(long)
-
-
 def test_a_class_name_has_one_meaning():
     places: dict[str, list[str]] = {}
     for path in FILES:
