@@ -8,11 +8,15 @@ from typing import Literal
 
 from analysis.statistics import TWO_SIDED
 from tunenet_logs.episode import Episode
+from tunenet_logs.left_out import BY_CLOCK, MAX_LEFT_OUT, LeftOut
 
 Verdict = Literal["ok", "suspect", "rejected"]
 
 _MORE_DIGITS = 3
 """At most this many digits are added so that a figure and its limit differ in print."""
+
+
+_EVEN_CLOCK = "stamp samples by a clock that is not set meanwhile, local time by UTC"
 
 
 @dataclass(frozen=True)
@@ -84,11 +88,23 @@ class CrossCheck:
         return cls(method, value, agrees, tolerance, None if sd is None else TWO_SIDED * sd, advice)
 
 
-def log_checks(episode: Episode) -> tuple[Check, ...]:
-    """What the file itself shows: samples that may have been changed cannot be trusted."""
+def log_checks(episode: Episode, lacking: Sequence[LeftOut]) -> tuple[Check, ...]:
+    """What the file itself shows: samples that may have been changed, or are not there.
+
+    Args:
+        episode: that was read.
+        lacking: what is left out of each signal that is tuned to.
+    """
     detail = episode.tainted or "no sample that was read is known to be damaged"
     advice = "tune the log as it was before it was damaged"
-    return (Check("samples as they were recorded", not episode.tainted, detail, advice=advice),)
+    recorded = Check("samples as they were recorded", not episode.tainted, detail, advice=advice)
+    most = max(lacking, key=lambda one: one.share, default=LeftOut("", 0, {}))
+    share, limit = figures(100 * most.share, 100 * MAX_LEFT_OUT, 1)
+    nothing = "none is known to be left out"
+    detail = f"{most}: {share} % (at most {limit})" if most.share else nothing
+    is_clock = most.by_reason.get(BY_CLOCK, 0) > sum(most.by_reason.values()) / 2
+    advice = _EVEN_CLOCK if is_clock else "record, copy or export it whole"
+    return (recorded, Check("samples are all there", not most.is_much, detail, advice=advice))
 
 
 def judge(

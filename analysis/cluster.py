@@ -37,6 +37,11 @@ _ANSWERS_S = 10
 HERE = "local"
 """The address of a cluster that is started on this machine for the work."""
 
+_LOOPBACK = "127.0.0.1"
+_ONLY_HERE = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
+"""Where such a cluster listens: Ray takes an address of the network in its place, and listens on
+all, unless this variable says that it is to stay on one machine."""
+
 
 @dataclass(frozen=True)
 class Cluster:
@@ -154,15 +159,19 @@ def _connected(cluster: Cluster) -> Iterator[int]:
     address, jobs = cluster.address, cluster.jobs
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
     os.environ.setdefault("RAY_DEDUP_LOGS", "0")
+    if address == HERE:  # read when Ray is imported, here and in the processes that it starts
+        os.environ[_ONLY_HERE] = "0"
     try:
         import ray
         import ray.data
+        from ray._private import ray_constants
     except ImportError as error:
         raise UsageError(
             f"--ray needs Ray ({error}); install the extra: pip install 'tunenet-logs[cluster]'"
         ) from error
     import logging
 
+    ray_constants.ENABLE_RAY_CLUSTER = address != HERE  # where somebody imported it before
     variables: dict[str, str] = dict.fromkeys(BLAS_THREADS, "1")
     if ENGINE_VARIABLE in os.environ:
         variables[ENGINE_VARIABLE] = os.environ[ENGINE_VARIABLE]
@@ -180,7 +189,8 @@ def _connected(cluster: Cluster) -> Iterator[int]:
             host, _, port = address.removeprefix("ray://").rpartition(":")
             socket.create_connection((host, int(port)), _ANSWERS_S).close()
         if address == HERE:
-            begin(address=HERE, num_cpus=jobs or len(os.sched_getaffinity(0)))
+            cores = jobs or len(os.sched_getaffinity(0))
+            begin(address=HERE, num_cpus=cores, _node_ip_address=_LOOPBACK)
         else:
             begin(address=address)
     except (OSError, OverflowError, ValueError, RuntimeError) as error:
@@ -198,3 +208,4 @@ def _connected(cluster: Cluster) -> Iterator[int]:
         yield max(1, min(cores, jobs or cores))
     finally:
         ray.shutdown()
+        os.environ.pop(_ONLY_HERE, None)

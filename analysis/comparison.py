@@ -76,7 +76,7 @@ class Comparison:
         """A row for each quantity of each log, and one for each log without any.
 
         Columns: log, task, preset, verdict, reason, parameter, unit, value, low, high,
-        impact_speed_m_s, differs_from (labels, with "; " between them).
+        impact_speed_m_s, differs_from (labels, with "; " between them), log_sha256.
         """
         import pandas as pd
 
@@ -85,7 +85,7 @@ class Comparison:
             {**_of_record(label, record), "reason": record.reason}
             for label, record in self.without_values
         ]
-        return pd.DataFrame(rows, columns=list(_COLUMNS))
+        return pd.DataFrame(rows, columns=list(COLUMNS))
 
     def pairs_frame(self) -> pd.DataFrame:
         """A row for each test.
@@ -115,13 +115,13 @@ class Comparison:
             for quantity in group.quantities
             for test in quantity.tests
         ]
-        return pd.DataFrame(rows, columns=list(_PAIR_COLUMNS))
+        return pd.DataFrame(rows, columns=list(PAIR_COLUMNS))
 
 
-_COLUMNS = ("log", "task", "preset", "verdict", "reason", "parameter", "unit", "value", "low")
-_COLUMNS += ("high", "impact_speed_m_s", "differs_from")
-_PAIR_COLUMNS = ("group", "parameter", "unit", "first", "second", "difference", "low", "high", "p")
-_PAIR_COLUMNS += ("p_holm", "differs", "speed_m_s", "caution")
+COLUMNS = ("log", "task", "preset", "verdict", "reason", "parameter", "unit", "value", "low")
+COLUMNS += ("high", "impact_speed_m_s", "differs_from", "log_sha256")
+PAIR_COLUMNS = ("group", "parameter", "unit", "first", "second", "difference", "low", "high", "p")
+PAIR_COLUMNS += ("p_holm", "differs", "speed_m_s", "caution")
 
 
 def compare(records: Sequence[Record], names: Sequence[str] | None = None) -> Comparison:
@@ -233,7 +233,9 @@ def _rows(comparison: Comparison, group: ComparedGroup) -> list[dict[str, Any]]:
 def _of_record(label: str, record: Record) -> dict[str, Any]:
     verdict: Verdict = record.verdict
     preset = (record.simulator or {}).get("preset")
-    return {"log": label, "task": record.task, "preset": preset, "verdict": verdict}
+    sha256 = record.provenance.log_sha256 if record.provenance else ""
+    known = {"log": label, "task": record.task, "preset": preset, "verdict": verdict}
+    return {**known, "log_sha256": sha256}
 
 
 def told_apart(quantity: ComparedQuantity, label: str) -> list[str]:

@@ -19,6 +19,7 @@ from analysis.tunenet.training import Recipe
 from recorders.simulators.base import Parameter
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
+from tunenet_logs.left_out import LeftOut
 from tunenet_logs.terminal import Progress
 
 if TYPE_CHECKING:
@@ -57,6 +58,11 @@ class Detection(Protocol):
     @property
     def warnings(self) -> tuple[str, ...]:
         """What a user should know, in words."""
+        ...
+
+    @property
+    def left_out(self) -> tuple[LeftOut, ...]:
+        """What each signal lacks in which it was found."""
         ...
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from tunenet_logs.episode import Episode, Signal
+from tunenet_logs.left_out import IMPLAUSIBLE, added
 from tunenet_logs.terminal import short_name
 
 _LARGEST = 1e12
@@ -40,4 +41,5 @@ def _bounded(signal: Signal) -> Signal:
     if not is_huge.any() and not is_tiny.any():
         return signal
     values = np.where(is_huge, np.nan, np.where(is_tiny, 0.0, signal.values))
-    return replace(signal, values=values)
+    rows = {IMPLAUSIBLE: int(np.count_nonzero(is_huge.any(axis=1)))}
+    return replace(signal, values=values, left_out=added(signal.left_out, rows))

@@ -34,7 +34,7 @@ Value = TypeVar("Value")
 _TIME_DECIMALS, _HEIGHT_DECIMALS = 5, 4
 """Of a time [s] and a height [m]: a tenth of a millimetre, and the time it takes to fall so far."""
 
-_MOST_BYTES = 4_000_000
+MOST_RECORD_BYTES = 4_000_000
 """Of a file that may be a record: several times one with the longest curves."""
 
 _MOST_CHARACTERS = 200
@@ -144,7 +144,7 @@ def read_record(path: Path) -> Record:
         LogError: it cannot be read, is something else, or has a value that no tuning has.
     """
     try:
-        fields = parse_json(read_small_file(path, _MOST_BYTES))
+        fields = parse_json(read_small_file(path, MOST_RECORD_BYTES))
     except OSError as error:
         raise LogError(
             f"{path}: cannot be read ({error.strerror}); give a tuning's .json"
@@ -163,6 +163,21 @@ def read_record(path: Path) -> Record:
     except (ValueError, TypeError, AttributeError, ArithmeticError) as error:
         why = short_name(error, _MOST_CHARACTERS)
         raise LogError(f"{path}: {why}; tune the log again") from error
+
+
+def record_in(data: bytes) -> Record:
+    """The same of a file's bytes.
+
+    Raises:
+        ValueError: they are no tuning, whatever is wrong.
+    """
+    try:
+        fields = parse_json(data)
+        if not isinstance(fields, dict):
+            raise TypeError("is no object")
+        return record_from(fields)
+    except (LookupError, TypeError, AttributeError, ArithmeticError) as error:
+        raise ValueError(str(error)) from error
 
 
 def _provenance_fields(provenance: Provenance) -> dict[str, Any]:

@@ -1,50 +1,235 @@
-"""Files of results: whole or not there, writable before the work is done, and never another's."""
+"""Files of results: by what they are known, and of which logs they tell.
+
+What is ours says so near its beginning: pages, figures and JSONs by a mark with the names and
+SHA-256 of their logs, exported files by their heads, recordings for Rerun by their names, tables by
+their headers. `OutputPlace` replaces nothing else.
+"""
 
 from __future__ import annotations
 
+import csv
 import hashlib
+import io
 import json
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO, Literal
+from urllib.parse import quote, unquote
 
-from analysis.record_json import read_record
+from analysis.record import Record
+from analysis.record_json import MOST_RECORD_BYTES, record_in
 from tunenet_logs.commandline import is_stdout
 from tunenet_logs.errors import LogError, UsageError
 from tunenet_logs.json_lines import json_line
+from tunenet_logs.output.owned_file import Knows, OutputPlace
 from tunenet_logs.progress import told
-from tunenet_logs.regular_file import open_regular
-
-_PARTIAL = ".partial"
-
-_HEADER_BYTES = 4096
-"""Of a recording for Rerun, in which its names stand."""
+from tunenet_logs.regular_file import open_regular, real_path
+from tunenet_logs.terminal import listed, short_name
 
 _BLOCK_BYTES = 2**20
 
 _OWN_DIGITS = 32
-"""Of a log's SHA-256 in the name of its review: enough to tell any two logs apart."""
+"""Of a log's SHA-256 where a result names it: enough to tell any two logs apart."""
+
+_MOST_MARKED = 1000
+"""Logs that a mark names; by those one page is told from another."""
+
+_MARK_BYTES = 2**17
+"""Of a file, in which its mark stands: one with the most logs, and what is around it."""
+
+_HEADER_BYTES = 4096
+"""Of a recording for Rerun, in which its names stand."""
+
+_MARK = rb"tunenet-logs ([a-z-]+) of((?: [\w.%]{0,80}@\w{0,32}){0,1000})"
+
+_FORMS = {
+    "html": rb"<!doctype html>\n<!-- " + _MARK,
+    "json": rb'\{\n "made": "' + _MARK,
+    "png": rb"\x89PNG\r\n\x1a\n.{29}tEXtSoftware\0" + _MARK,
+    "pdf": rb".*/Creator \(" + _MARK,
+}
+"""How a marked file begins; of a PDF the end, where a pattern finds its last creator."""
+
+_RECORDING = re.compile(
+    rb"RRF2.{12}.{0,64}?([0-9a-z]{1,64})\x1a.\x0a.tunenet ([a-z0-9 _-]+) [0-9a-f]{16}", re.DOTALL
+)
+"""The beginning of a recording of ours: its identity, then what it is of."""
+
+_OTHER_RECORDINGS = (b"campaign", b"shot", b"overview", b"eval drop")
+"""What is no review of one log."""
+
+_EXPORTED = re.compile(
+    rb"Exported by tunenet-export [\w.+-]{1,40} from the tuning of (.{1,400}?)"
+    rb"(?:, tuned [^\n]{1,200})?\.[\"\s].{0,200}?"
+    rb"(?:SHA-256 of the log: ([0-9a-f]{32})|Verdict: )",
+    re.DOTALL,
+)
+"""The head of an exported file."""
+
+Form = Literal["html", "json", "png", "pdf"]
+Logs = Mapping[str, str]
+"""Names of logs by the first digits of their SHA-256, or by their names where nothing has those."""
 
 
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """Write to a file beside `path`, this process's own, that takes its name once it is whole.
+def logs_of(records: Iterable[Record]) -> Logs:
+    """The logs that tunings are of."""
+    found: dict[str, str] = {}
+    for record in records:
+        sha256 = record.provenance.log_sha256 if record.provenance else ""
+        found.setdefault(review_name(sha256) or record.log, record.log)
+    return found
+
+
+def subject_of(known_by: Iterable[str]) -> str:
+    """What a recording's identity begins with: the same for the same logs or places."""
+    return hashlib.sha256("\0".join(sorted(known_by)).encode(errors="replace")).hexdigest()[:16]
+
+
+def in_words(logs: Logs) -> str:
+    """The logs' names, the first ones."""
+    return listed(map(short_name, logs.values()), 3)
+
+
+def mark(kind: str, logs: Logs) -> str:
+    """What a file of ours says of itself: characters that stay the same in any format.
+
+    Args:
+        kind: of file, a word.
+        logs: of which it tells.
+    """
+    named: list[str] = []
+    for known_by, name in list(logs.items())[:_MOST_MARKED]:
+        plain = re.sub(
+            "[-~]", lambda one: f"%{ord(one.group()):02X}", quote(name, safe="", errors="replace")
+        )
+        named.append(f" {plain[:80]}@{known_by if known_by != name else ''}")
+    return f"tunenet-logs {kind} of{''.join(named)}"
+
+
+def marked(form: Form, kind: str, logs: Logs) -> Knows:
+    """Knows files of a form with the `mark` of a kind."""
+    pattern = re.compile(_FORMS[form], re.DOTALL)
+
+    def knows(file: BinaryIO) -> Sequence[str] | None:
+        data = file.read(_MARK_BYTES)
+        if form == "pdf":
+            if not data.startswith(b"%PDF-"):
+                return None
+            file.seek(max(0, os.fstat(file.fileno()).st_size - _MARK_BYTES))
+            data = file.read(_MARK_BYTES)
+        found = pattern.match(data)
+        if found is None or found[1] != kind.encode():
+            return None
+        told_of = [one.partition("@") for one in found[2].decode().split()]
+        names = {sha256 or unquote(name): unquote(name) for name, _, sha256 in told_of}
+        return [name for known_by, name in names.items() if known_by not in logs]
+
+    return knows
+
+
+def exported_file(record: Record) -> Knows:
+    """Knows files that `tunenet-export` wrote."""
+    logs = logs_of([record])
+
+    def knows(file: BinaryIO) -> Sequence[str] | None:
+        found = _EXPORTED.search(file.read(_MARK_BYTES))
+        if found is None:
+            return None
+        name = found[1].decode(errors="replace")
+        known_by = found[2].decode() if found[2] else name
+        return () if known_by in logs else (name,)
+
+    return knows
+
+
+def recording(kind: str, subject: str) -> Knows:
+    """Knows recordings for Rerun of one kind, whose identities begin with what they are of."""
+
+    def knows(file: BinaryIO) -> Sequence[str] | None:
+        found = _RECORDING.match(file.read(_HEADER_BYTES))
+        if found is None or found[2] != kind.encode():
+            return None
+        return () if found[1].startswith(subject.encode()) else (f"another {kind}",)
+
+    return knows
+
+
+def review_of(sha256: str) -> Knows:
+    """Knows reviews of logs."""
+
+    def knows(file: BinaryIO) -> Sequence[str] | None:
+        found = _RECORDING.match(file.read(_HEADER_BYTES))
+        if found is None or found[2] in _OTHER_RECORDINGS:
+            return None
+        return () if sha256 and found[1] == review_name(sha256).encode() else ("another log",)
+
+    return knows
+
+
+def tuning_of(log: Path, sha256: str) -> Knows:
+    """Knows tunings' JSONs; of a log that cannot be read by its name."""
+
+    def knows(file: BinaryIO) -> Sequence[str] | None:
+        record = record_in(file.read(MOST_RECORD_BYTES + 1))
+        if record.provenance is None:
+            return None
+        known = record.provenance.log_sha256
+        if (known and known == sha256) or (not known and record.log == log.name):
+            return ()
+        if record.log == log.name:
+            return (f"another {log.name}, or of this one before it changed",)
+        return (record.log or "a log without a name",)
+
+    return knows
+
+
+def table(columns: Sequence[str], lost: Callable[[Mapping[str, str]], str | None]) -> Knows:
+    """Knows tables in text by their first columns.
+
+    Args:
+        columns: of every such table.
+        lost: what a row tells of that the new table will not; None where it will.
+    """
+    begins = ",".join(columns)
+
+    def knows(file: BinaryIO) -> Sequence[str] | None:
+        text = file.read(_MARK_BYTES).decode(errors="replace")
+        if not text.startswith(begins):
+            return None
+        if len(text) >= _MARK_BYTES:  # its last row is not whole
+            text = text.rpartition("\n")[0]
+        try:
+            rows = list(csv.DictReader(io.StringIO(text), restkey="", restval=""))
+        except csv.Error:
+            return None
+        return list(dict.fromkeys(filter(None, map(lost, rows))))
+
+    return knows
+
+
+def check_place(
+    place: OutputPlace, option: str, suffixes: Sequence[str], inputs: Iterable[Path]
+) -> None:
+    """Find out before the work whether its result can be written.
+
+    Args:
+        place: where it goes.
+        option: that named it.
+        suffixes: one of which it must have.
+        inputs: files that are read, which nothing replaces.
 
     Raises:
-        OSError: it cannot be written; it names `path`.
+        UsageError: it cannot; says why.
     """
-    partial = _partial(path)
-    partial.unlink(missing_ok=True)  # be it a pipe, which would wait, or a link to another file
-    try:
-        yield partial
-        partial.replace(path)
-    except OSError as error:
-        if error.filename == str(partial):
-            error.filename = str(path)
-        raise
-    finally:
-        partial.unlink(missing_ok=True)
+    path = place.path
+    if path.suffix.lower() not in suffixes:
+        raise UsageError(f"{path}: give {option} a name that ends {' or '.join(suffixes)}")
+    if real_path(path) in {real_path(one) for one in inputs}:
+        raise UsageError(f"{path}: is one of the files that are read; {place.elsewhere}")
+    place.check()
 
 
 @contextmanager
@@ -61,43 +246,18 @@ def writable(path: Path, remedy: str) -> Iterator[None]:
         raise LogError(f"{path}: cannot be written ({why}); {remedy}") from error
 
 
-def _partial(path: Path) -> Path:
-    """Where this process writes first: another one that writes the same results has another."""
-    return path.with_name(f"{path.name}.{os.getpid()}{_PARTIAL}")
-
-
-def write_json(path: Path, text: str) -> None:
+def write_json(place: OutputPlace, text: str) -> None:
     """Write a JSON to a file as it is or, for `-`, to standard output as one line of ASCII.
 
     Raises:
-        OSError: it cannot be written; it names `path`.
+        LogError: something else is there.
+        OSError: it cannot be written; it names the file.
     """
-    if is_stdout(path):
+    if is_stdout(place.path):
         print(json_line(json.loads(text)), flush=True)
         return
-    with replacing(path) as partial:
+    with place.replacing() as partial:
         partial.write_text(text, "utf-8")
-
-
-def check_writable(path: Path, option: str) -> None:
-    """Find out before hours of work whether their result can be written.
-
-    Raises:
-        UsageError: it cannot; says why.
-    """
-    if path.is_dir():
-        raise UsageError(f"{path}: is a folder; give {option} a file")
-    if not path.parent.is_dir():
-        raise UsageError(f"{path.parent}: no such folder; create it, or give {option} another file")
-    partial = _partial(path)
-    try:
-        partial.unlink(missing_ok=True)
-        partial.open("xb").close()
-        partial.unlink()
-    except OSError as error:
-        raise UsageError(
-            f"{path}: cannot be written ({error.strerror}); give {option} another file"
-        ) from error
 
 
 def log_sha256(log: Path) -> str:
@@ -125,53 +285,5 @@ def log_sha256(log: Path) -> str:
 
 
 def review_name(sha256: str) -> str:
-    """What the review of a log is called inside, so that it can be told from another's."""
+    """What a result of a log knows it by, so that it can be told from another's."""
     return sha256[:_OWN_DIGITS]
-
-
-def check_own(results: Path, review: Path, log: Path, sha256: str) -> None:
-    """Refuse to replace the results of something else.
-
-    Args:
-        results: the JSON that is to be written.
-        review: the recording for Rerun.
-        log: whose they are to be.
-        sha256: of it.
-
-    Raises:
-        LogError: one of them is there, and not of this log; the message names both.
-    """
-    if results.exists():
-        check_own_json(results, log, sha256)
-    else:
-        check_own_review(review, log, sha256)
-
-
-_CHOOSE = "choose another folder with -o, or pass --overwrite"
-
-
-def check_own_json(results: Path, log: Path, sha256: str) -> None:
-    """Refuse to replace a JSON that is no tuning of this log; see `check_own`."""
-    if not results.exists():
-        return
-    record = None
-    with suppress(LogError):
-        record = read_record(results)
-    if record is None:
-        raise LogError(f"{results}: exists, and is no tuning of {log.name}; {_CHOOSE}")
-    known = record.provenance.log_sha256 if record.provenance else None
-    has_its_name = not known and record.log == log.name  # of a log that could not be read
-    if not has_its_name and (known != sha256 or not sha256):
-        named = f"another {log.name}, or of this one before it changed"
-        named = named if record.log == log.name else record.log
-        raise LogError(f"{results}: is the tuning of {named}, not of {log} as it is; {_CHOOSE}")
-
-
-def check_own_review(review: Path, log: Path, sha256: str) -> None:
-    """Refuse to replace a recording that is no review of this log; see `check_own`."""
-    if not review.exists():
-        return
-    with open_regular(review) as file:
-        is_own = review_name(sha256).encode() in file.read(_HEADER_BYTES)
-    if not (is_own and sha256):
-        raise LogError(f"{review}: exists, and is no review of {log.name}; {_CHOOSE}")

@@ -12,6 +12,7 @@ import numpy as np
 from analysis.checks import CrossCheck
 from analysis.fitted_table import laid_out
 from analysis.record import Estimate, Record, Tuning
+from tunenet_logs.addresses import Address
 from tunenet_logs.terminal import one_line
 
 _FEWEST_DECIMALS, _MOST_DECIMALS = 4, 6
@@ -32,7 +33,7 @@ class Row:
         truth: what a simulator was set to, where the log says so; shown, never used.
     """
 
-    log: Path
+    log: Path | Address
     record: Record
     is_read: bool
     parameter: str

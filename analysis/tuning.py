@@ -164,7 +164,7 @@ def tune_detected(
             seconds=watch.seconds,
         )
     checks = experiment.checks(detection, trace.steps[-1], trace.fit)
-    checks = (*log_checks(episode), *checks) if episode else checks
+    checks = (*log_checks(episode, detection.left_out), *checks) if episode else checks
     cross_check = experiment.cross_check(detection, trace.estimate)
     watch.lap("tune")
     verdict, reason = judge(checks, cross_check, experiment.occasion)

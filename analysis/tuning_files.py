@@ -11,7 +11,7 @@ from analysis.campaign.files import files_of, natural
 from analysis.comparison import distinct
 from analysis.record import Record
 from analysis.record_json import read_record
-from tunenet_logs.errors import LogError, UsageError
+from tunenet_logs.errors import LogError
 from tunenet_logs.outcome_reading import Warn
 from tunenet_logs.regular_file import real_path
 
@@ -40,8 +40,7 @@ def read_tunings(places: Sequence[Path], warn: Warn) -> tuple[TuningFile, ...]:
         warn: called with what of a folder cannot be read.
 
     Raises:
-        UsageError: there is no such place, or no tuning in any of them.
-        LogError: a file that is named is no tuning.
+        LogError: there is no such place, no tuning in any of them, or a file that is named is none.
     """
     named = {real_path(place) for place in places if place.is_file()}
     found: list[tuple[Path, Record]] = []
@@ -56,7 +55,7 @@ def read_tunings(places: Sequence[Path], warn: Warn) -> tuple[TuningFile, ...]:
                 raise
     if not found:
         words = ", ".join(map(str, places))
-        raise UsageError(f"{words}: holds no tuning; give the .json that tunenet-tune wrote")
+        raise LogError(f"{words}: holds no tuning; give the .json that tunenet-tune wrote")
     labels = _labels(found)
     return tuple(
         TuningFile(path, record, label) for (path, record), label in zip(found, labels, strict=True)

@@ -41,7 +41,7 @@ _EXAMPLES = """\
   tunenet-record --camera drop.mp4 --ball-diameter 0.04 --drop-height 1
   tunenet-record --camera slow.mp4 --fps 240           (slow motion without a tag)
   tunenet-record --camera 192.168.1.20:8080/video --wait 60 -o drop.mcap     (a phone)
-  tunenet-record --camera rtsp://user:password@192.168.1.21/stream1
+  tunenet-record --camera rtsp://user@192.168.1.21/stream1 --password-file camera.txt
   gst-launch-1.0 -q ... ! matroskamux streamable=true ! fdsink | tunenet-record --camera -
   tunenet-record --simulate drop --restitution 0.75 --height 1.2 -o drop.mcap
   tunenet-record --simulate drop --seed 7              (draws restitution and height)

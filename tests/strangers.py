@@ -86,12 +86,13 @@ def write_poses(
     topic: str = "/vrpn/thing/pose",
     compression: CompressionType = CompressionType.LZ4,
     set_header: bool = True,
+    chunk_bytes: int = 1024 * 1024,
 ) -> None:
     """A log of PoseStamped as a recorder of another distribution writes it."""
     store = get_typestore(Stores.ROS2_JAZZY)
     types = store.types
     with path.open("wb") as file:
-        writer = Writer(file, compression=compression)
+        writer = Writer(file, chunk_size=chunk_bytes, compression=compression)
         writer.start(profile="ros2", library="somebody's recorder")
         text = store.generate_msgdef(POSE, ros_version=2)[0].encode()
         schema = writer.register_schema(POSE, "ros2msg", text)

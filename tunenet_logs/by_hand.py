@@ -29,29 +29,28 @@ class HandPicked:
         self._topics: list[HandRows] = []
         self._channels: list[RawChannel] = []
         self._found: set[str] = set()
+        self._missed: dict[str, LogError] = {}  # why not, by topic
 
     def rows_of(self, channel: RawChannel) -> HandRows | None:
-        """What gathers the fields of a channel; None where none is named.
-
-        Raises:
-            LogError: one that is named is not there, or the channel cannot be read.
-        """
+        """What gathers the fields of a channel; None where none is named, or it has not all."""
         self._channels.append(channel)
         picks = {
             target: rest
             for target, text in self._options.columns.items()
-            if (rest := _behind(text, channel.topic)) is not None
+            if target not in self._found and (rest := _behind(text, channel.topic)) is not None
         }
         if not picks:
             return None
-        self._found.update(picks)
         try:
-            kind = any_type(channel, self._budget)
+            rows = HandRows(self._path, channel, picks, any_type(channel, self._budget))
         except UnusableError as reason:
-            raise LogError(
-                f"{self._path}: {channel.topic} cannot be read: {reason}", "name another topic"
-            ) from reason
-        rows = HandRows(self._path, channel, picks, kind)
+            why = f"{self._path}: {channel.topic} cannot be read: {reason}"
+            self._missed.setdefault(channel.topic, LogError(why, "name another topic"))
+            return None
+        except LogError as error:  # another channel of that topic may have it
+            self._missed.setdefault(channel.topic, error)
+            return None
+        self._found.update(picks)
         self._topics.append(rows)
         return rows
 
@@ -63,7 +62,12 @@ class HandPicked:
         """
         for target, text in self._options.columns.items():
             if target not in self._found:
-                raise self._no_topic(target, text)
+                missed = [
+                    error
+                    for topic, error in self._missed.items()
+                    if _behind(text, topic) is not None
+                ]
+                raise missed[0] if missed else self._no_topic(target, text)
         self._check()
         found: list[Signal] = []
         notes: list[str] = []

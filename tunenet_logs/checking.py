@@ -8,8 +8,10 @@ from pathlib import Path
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import LogError
 from tunenet_logs.formats.read_options import AS_IT_SAYS, ReadOptions
+from tunenet_logs.left_out import LeftOut, left_out_of
+from tunenet_logs.one_clock import on_one_clock
 from tunenet_logs.reader import read_episode
-from tunenet_logs.terminal import Progress
+from tunenet_logs.terminal import Progress, one_line
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,11 +21,18 @@ class Health:
     Attributes:
         damage: what is wrong and where, one a line; empty for a whole log.
         doubts: what is no damage but should be known.
+        left_out: of which so much is left out that the log is not whole, though not damaged.
     """
 
     episode: Episode
     damage: tuple[str, ...]
     doubts: tuple[str, ...]
+    left_out: tuple[LeftOut, ...] = ()
+
+    @property
+    def whole(self) -> bool:
+        """Whether all of it is there, and used."""
+        return not self.damage and not self.left_out
 
 
 def check(path: Path, progress: Progress, options: ReadOptions = AS_IT_SAYS) -> Health:
@@ -32,7 +41,8 @@ def check(path: Path, progress: Progress, options: ReadOptions = AS_IT_SAYS) -> 
     Raises:
         LogError: nothing of it can be read.
     """
-    episode = read_episode(path, options)
+    with progress.stages(one_line(path)):
+        episode = read_episode(path, options)
     damage = list(episode.losses)
     for topic in episode.picture_topics:
         damage += _picture_damage(episode, topic, progress)
@@ -41,7 +51,8 @@ def check(path: Path, progress: Progress, options: ReadOptions = AS_IT_SAYS) -> 
         heard += [f"{topic}: {said}" for said in _heard(episode, topic)]
     lost = set(episode.losses)
     doubts = tuple(warning for warning in episode.warnings if warning not in lost)
-    return Health(episode, tuple(damage), (*doubts, *heard))
+    left_out = tuple(one for one in left_out_of(on_one_clock(episode)) if one.is_much)
+    return Health(episode, tuple(damage), (*doubts, *heard), left_out)
 
 
 def _heard(episode: Episode, topic: str) -> tuple[str, ...]:

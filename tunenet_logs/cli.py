@@ -6,12 +6,15 @@ import argparse
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tunenet_logs.commandline import Parser, read_options_of, reading_options, run
 from tunenet_logs.errors import TuneNetError
 from tunenet_logs.regular_file import real_path
 from tunenet_logs.terminal import Progress, one_line
+
+if TYPE_CHECKING:
+    from tunenet_logs.episode import Episode
 
 # The texts of --help.
 _DESCRIPTION = """\
@@ -175,12 +178,16 @@ def _info(arguments: argparse.Namespace) -> int:
 
     options = read_options_of(arguments)
 
+    def read(log: Path) -> Episode:
+        with Progress().stages(one_line(log)):
+            return read_episode(log, options)
+
     def show(log: Path) -> bool:
-        print(describe(log, read_episode(log, options)))
+        print(describe(log, read(log)))
         return True
 
     def show_fields(log: Path) -> bool:
-        _print_json(info_fields(log, read_episode(log, options)))
+        _print_json(info_fields(log, read(log)))
         return True
 
     if arguments.json:
@@ -201,15 +208,17 @@ def _check(arguments: argparse.Namespace) -> int:
         held = (
             f"{sum(channel.messages for channel in channels)} messages in {len(channels)} channels"
         )
-        print(one_line(f"{log}: {'damaged' if health.damage else 'whole'}, {held}"))
+        state = "whole" if health.whole else "damaged" if health.damage else "not whole"
+        print(one_line(f"{log}: {state}, {held}"))
         _say("damage", health.damage)
+        _say("left out", [str(one) for one in health.left_out])
         _say("note", health.doubts)
-        return not health.damage
+        return health.whole
 
     def show_fields(log: Path) -> bool:
         health = check(log, progress, options)
         _print_json(check_fields(log, health))
-        return not health.damage
+        return health.whole
 
     if arguments.json:
         return _each(arguments.logs, show_fields, lambda *why: _print_json(unread_check(*why)))

@@ -6,8 +6,12 @@ and what came after it have no known distance, and a grid over both has no bound
 
 A pause is no jump: an arm rests, a recorder waits for the next ball. It differs from a jump by its
 length, and by what is on both sides. Half a day is longer than any experiment waits; a few samples
-many minutes from all others are no recording. A step back is told by the order in which samples
-were written: two stretches of samples that lie in the same time, one of which came after the other.
+many minutes from all others are no recording.
+
+A step back is told from mere disorder by the time that is there twice. Samples that overtook each
+other on their way lie, once they are sorted, as far apart as ever: each fills a hole. Where a clock
+was set back, the stretches before and after it lie in the same time, and sorted there are too many.
+Nor is it an order where all that was written later lies in a time before, far from the rest.
 """
 
 from __future__ import annotations
@@ -27,8 +31,26 @@ _AROUND = 5
 """Samples before and after a step back: where their medians step back too, the clock was set. Where
 they do not, a few samples overtook each other, or one stamp is off."""
 
-_FEW_CHANGES = 10
-"""Changes from one stretch to another, in order of their stamps, that are no overlap."""
+_BURST = 3
+"""Samples in a row that may be far off without being a stretch of a clock."""
+
+_LAG, _NEARBY, _HALVED = 32, 128, 0.75
+"""Samples over which a period is looked at, and within which samples overtake each other; sorted
+steps of less than so much of the period of such neighbours are those of two stretches."""
+
+_MIN_TOO_MANY, _TOO_MANY, _UNLIKELY = 2.5, 0.3, 5.0
+"""Samples too many where a clock was set back: at least, of those that lie in the time of others,
+and in standard deviations of what uneven steps make."""
+
+_EXPLAINED = 0.5
+"""Samples too many, for each that is between, by which a step back is worth less than another."""
+
+_APART = 10.0
+"""Periods between what was written later and what was written before, all of it later in time:
+nearer ones are one recording in another order."""
+
+_EVEN = 0.1
+"""Of a period, by which sorted steps of an even clock are too short on average."""
 
 _MOST_CUTS = 32
 """At one longest pause after the other."""
@@ -76,18 +98,52 @@ def sound_part(stamps_ns: NDArray[np.int64]) -> SoundPart:
 def written_part(stamps_ns: NDArray[np.int64]) -> SoundPart:
     """The longest part of stamps in the order of their file in which the clock is not set back.
 
-    All are kept where what was written later lies in a time of its own: then sorting mends it.
+    All are kept where what was written later fills holes, or goes before what was written first
+    without a pause: then sorting mends it.
 
     Args:
         stamps_ns: shape (T,) [ns], in the order in which they were written.
     """
     backs = _set_back(stamps_ns)
     if len(backs):
-        stretch = _stretches(_ends_before(backs, len(stamps_ns)))
-        in_time = stretch[np.argsort(stamps_ns, kind="stable")]
-        if np.count_nonzero(np.diff(in_time)) > 2 * len(backs) + _FEW_CHANGES:
-            return _longest_between(stamps_ns, backs)
+        backs = backs[_repeats_time(stamps_ns, backs)]
+    if len(backs):
+        return _longest_between(stamps_ns, backs)
     return SoundPart(np.arange(len(stamps_ns)))
+
+
+def is_disorder(stamps_ns: NDArray[np.int64], others_ns: NDArray[np.int64]) -> bool:
+    """Whether stamps that run back and forth are those of an even clock, in another order.
+
+    Args:
+        stamps_ns: shape (T,) [ns], in the order in which they were written.
+        others_ns: of another clock, of the same samples [ns], shape (T,).
+    """
+    ordered = np.sort(stamps_ns)
+    if _usual_ns(stamps_ns[None]) <= 0:
+        return False
+    short, other = (
+        float(np.mean(_short(one, _usual_ns(one[None])))) for one in (ordered, np.sort(others_ns))
+    )
+    return short <= max(_EVEN, other / 2)
+
+
+def fill_holes(stamps_ns: NDArray[np.int64], at: int) -> bool:
+    """Whether what is written from a sample on fills the holes of what was written before it.
+
+    Args:
+        stamps_ns: shape (T,) [ns], in the order in which they were written.
+        at: the sample.
+    """
+    both, before = (_unevenness(np.sort(one)) for one in (stamps_ns, stamps_ns[:at]))
+    return both < before / 2
+
+
+def _unevenness(ordered: NDArray[np.int64]) -> float:
+    """By how much of the median step other steps differ, 1 at most, on average."""
+    steps = np.diff(ordered.astype(np.float64))
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    return float(np.mean(np.minimum(np.abs(steps / usual - 1), 1))) if usual else 1.0
 
 
 def filmed_part(stamps_ns: NDArray[np.int64]) -> SoundPart:
@@ -160,10 +216,10 @@ def _ends_before(firsts: NDArray[np.intp], count: int) -> NDArray[np.bool_]:
 
 
 def _set_back(stamps_ns: NDArray[np.int64]) -> NDArray[np.intp]:
-    """Indices of the first samples after the clock was set back, shape (J,)."""
+    """Indices of the first samples after stamps step back, stragglers aside, shape (J,)."""
     reversals = np.flatnonzero(stamps_ns[1:] < stamps_ns[:-1]) + 1
-    if not len(reversals):
-        return reversals
+    if not len(reversals) or len(stamps_ns) < 2 * _AROUND:
+        return reversals[:0]
     around = reversals[:, None] + np.arange(_AROUND)
     after = stamps_ns[np.minimum(around, len(stamps_ns) - 1)]
     before = stamps_ns[np.maximum(around - _AROUND, 0)]
@@ -171,10 +227,100 @@ def _set_back(stamps_ns: NDArray[np.int64]) -> NDArray[np.intp]:
     return reversals[np.sort(after, axis=1)[:, middle] < np.sort(before, axis=1)[:, middle]]
 
 
+def _repeats_time(stamps_ns: NDArray[np.int64], backs: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Whether the same or an earlier time comes after each step back, shape (J,)."""
+    ordered, near = np.sort(stamps_ns), _sorted_nearby(stamps_ns)
+    usual_ns, nearby_ns = _usual_ns(ordered[None]), _usual_ns(near)
+    period_ns = nearby_ns if usual_ns < _HALVED * nearby_ns else usual_ns
+    if period_ns <= 0:
+        return np.zeros(len(backs), np.bool_)
+    # From where on, and up to where, samples from both sides of each step back lie.
+    low, high = _without_strays(stamps_ns)
+    at_end, at_start = np.minimum(backs, len(low) - 1), np.maximum(backs - _BURST, 0)
+    begins = np.minimum.accumulate(high)[at_start]
+    reached = np.maximum.accumulate(low)[at_start]
+    ahead = np.minimum.accumulate(high[::-1])[::-1][at_end]
+    ends = np.maximum.accumulate(low[::-1])[::-1][at_end]
+    entangled = np.minimum(
+        backs - np.searchsorted(ordered, ahead, "left"),
+        np.searchsorted(ordered, reached, "right") - backs,
+    )
+    first = np.searchsorted(ordered, np.maximum(ahead, begins), "left")
+    last = np.searchsorted(ordered, np.minimum(reached, ends), "right")
+    entangled = np.minimum(entangled, (last - first) / 2)
+    first = np.maximum(first - _BURST, 0)
+    last = np.maximum(np.minimum(last + _BURST, len(ordered) - 1), first)
+    # How many samples there are too many: a step that is short by a period is one.
+    short = _short(ordered, period_ns)
+    mean, spread = min((float(x.mean()), float(x.std())) for x in (short, _short(near, period_ns)))
+    steps = last - first
+    too_many = np.diff(np.append(0.0, np.cumsum(short))[[first, last]], axis=0)[0] - mean * steps
+    enough = np.maximum(_MIN_TOO_MANY, _TOO_MANY * entangled)
+    is_set = too_many >= np.maximum(enough, _UNLIKELY * spread * np.sqrt(steps))
+    # Or all that comes later lies before all that came first, and far from it.
+    apart_ns = begins.astype(np.float64) - ends
+    is_apart = (apart_ns > _APART * period_ns) & (_usual_ns(stamps_ns[None]) > 0)
+    is_apart &= (backs >= _AROUND) & (backs <= len(ordered) - _AROUND)  # not for a stray at an end
+    if np.count_nonzero(stamps_ns[1:] < stamps_ns[:-1]) == len(backs):  # no other disorder
+        return is_set | is_apart
+    return _strongest(backs, np.where(is_set | is_apart, np.maximum(too_many, is_apart), -np.inf))
+
+
+def _strongest(backs: NDArray[np.intp], too_many: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which steps back are no mere disorder around a set clock, shape (J,).
+
+    Such have fewer samples too many, the farther from it they are; near it one is as good as
+    another.
+
+    Args:
+        backs: shape (J,).
+        too_many: samples at each; -inf where no clock is set.
+    """
+    far = _EXPLAINED * backs
+    is_set = too_many > -np.inf
+    is_set[1:] &= too_many[1:] > np.maximum.accumulate(too_many + far)[:-1] - far[1:]
+    least = np.maximum.accumulate((too_many - far)[::-1])[::-1]
+    is_set[:-1] &= too_many[:-1] >= least[1:] + far[:-1]
+    peaks = np.flatnonzero(is_set)
+    if len(peaks):
+        group = _stretches(np.diff(backs[peaks]) >= _NEARBY)
+        best = np.lexsort((-too_many[peaks], group))
+        is_set[:] = False
+        is_set[peaks[best[np.append(True, np.diff(group) > 0)]]] = True
+    return is_set
+
+
+def _without_strays(stamps_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The earliest and the latest of each `_BURST` stamps in a row, shape (T - 2,) each."""
+    one, two, three = stamps_ns[:-2], stamps_ns[1:-1], stamps_ns[2:]
+    return np.minimum(np.minimum(one, two), three), np.maximum(np.maximum(one, two), three)
+
+
+def _sorted_nearby(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Stamps sorted among those that were written with them, shape (blocks, `_NEARBY` or fewer)."""
+    size = max(2 * _AROUND, min(_NEARBY, len(stamps_ns) // 4))
+    blocks = stamps_ns[: len(stamps_ns) // size * size].reshape(-1, size)
+    return np.sort(blocks, axis=1)
+
+
+def _short(stamps_ns: NDArray[np.int64], period_ns: float) -> NDArray[np.float64]:
+    """By how much of a period each step is too short, 1 at most, shape (..., T - 1)."""
+    steps_ns = np.diff(stamps_ns.astype(np.float64))
+    return np.clip(1.0 - steps_ns / period_ns, 0.0, 1.0) if period_ns > 0 else 1.0 + 0.0 * steps_ns
+
+
+def _usual_ns(rows_ns: NDArray[np.int64]) -> float:
+    """The usual step in rows of stamps [ns], over many of them, shape (rows, T)."""
+    far = rows_ns.astype(np.float64)
+    lag = max(1, min(_LAG, far.shape[1] // 4))
+    return float(np.median(far[:, lag:] - far[:, :-lag])) / lag if far.shape[1] > lag else 0.0
+
+
 def _longest_between(stamps_ns: NDArray[np.int64], backs: NDArray[np.intp]) -> SoundPart:
     """The longest stretch between steps back, and words on the first of them."""
     count, at = len(stamps_ns), int(backs[0])
-    by_s = (float(stamps_ns[at - 1]) - float(stamps_ns[at])) * _S
+    before, after = stamps_ns[max(at - _AROUND, 0) : at], stamps_ns[at : at + _AROUND]
+    by_s = (float(before.max()) - float(after.min())) * _S
     rows = _longest(_stretches(_ends_before(backs, count)))
     return SoundPart(rows, (_jump_words(f"is set back by {by_s:.3f} s", backs, count, rows),))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import io
 import os
 import signal
@@ -11,12 +12,13 @@ import traceback
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from textwrap import fill
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from tunenet_logs import __version__
+from tunenet_logs.addresses import scheme_of, without_secrets
 from tunenet_logs.completion import SHELLS, PrintCompletion
-from tunenet_logs.errors import TuneNetError, UsageError
-from tunenet_logs.starting import WORDS
+from tunenet_logs.errors import CHECK_DISK, LogError, TuneNetError, UsageError
+from tunenet_logs.starting import WORDS, lost_output
 from tunenet_logs.stopping import stoppable
 from tunenet_logs.terminal import one_line
 
@@ -66,6 +68,17 @@ class Parser(argparse.ArgumentParser):
                 help="print a script that has a shell complete this command (docs/commands.md)",
             )
 
+    def _get_value(self, action: argparse.Action, arg_string: str) -> Any:
+        """Refuse an address where a file is meant: a folder would be called like all of it."""
+        has_secrets = without_secrets(arg_string) != arg_string and not os.path.lexists(arg_string)
+        if action.type is Path and (scheme_of(arg_string) or has_secrets):
+            raise argparse.ArgumentError(
+                action,
+                f"{arg_string!r} is an address; name a file or folder of this machine (addresses "
+                "of logs are read by tunenet-tune)",
+            )
+        return super()._get_value(action, arg_string)
+
     def error(self, message: str) -> NoReturn:
         """Refuse the arguments with one line."""
         raise UsageError(f"{message} (see {self.prog} --help)")
@@ -76,6 +89,11 @@ BLAS_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 Our matrices are small: a second thread mostly waits for the first, and on a busy machine both wait.
 """
+
+
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_MORE_SPACE = "free some space, or write to another disk"
+"""What a disk says that takes no more, and the remedy."""
 
 
 def run(
@@ -94,29 +112,38 @@ def run(
         if isinstance(stream, io.TextIOWrapper):  # a name that the terminal cannot show
             stream.reconfigure(errors="backslashreplace")
     try:
-        with stoppable():
-            code = body(parser.parse_args(words))
-            sys.stdout.flush()
+        try:
+            with stoppable():
+                code = body(parser.parse_args(words))
+        except SystemExit:  # --help, --version
+            _check_output()
+            raise
+        _check_output()
         return code
     except TuneNetError as error:
         if "--debug" in words:
             print_traceback()
         print(one_line(f"{parser.prog}: {error}"), file=sys.stderr)
         return error.exit_code
-    except BrokenPipeError:  # the reader of our output went away, as `head` does
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except OSError as error:  # a path that no file system takes, a full disk behind stdout
+    except OSError as error:  # a path that no file system takes, a full disk
         if "--debug" in words:
             print_traceback()
         place = f"{error.filename}: " if error.filename else ""
-        print(one_line(f"{parser.prog}: {place}{error.strerror}"), file=sys.stderr)
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        remedy = _MORE_SPACE if error.errno in _FULL else CHECK_DISK
+        what = f"{place}{error.strerror or error}; {remedy}"
+        print(one_line(f"{parser.prog}: {what}"), file=sys.stderr)
         return 1
     except KeyboardInterrupt as stop:
         number = getattr(stop, "number", signal.SIGINT)  # none where closing a page raised it
         print(f"{parser.prog}: {WORDS[number]}", file=sys.stderr)
         return 128 + number
+
+
+def _check_output() -> None:
+    """Raise LogError where what was said did not reach standard output."""
+    sys.stdout.flush()
+    if why := lost_output():
+        raise LogError(f"standard output: {why}", "give it a place that takes it")
 
 
 def reading_options(group: argparse._ArgumentGroup) -> None:
@@ -125,9 +152,9 @@ def reading_options(group: argparse._ArgumentGroup) -> None:
     add(
         "--columns",
         metavar="NAME=COLUMN,...",
-        help="which column is which: t (time), frame, x, y, z, times (of impacts), position_1, "
-        "velocity_1, effort_1, current_1, ...; a column by its name, or by its number from 1; of a "
-        "log TOPIC.FIELD, as z=/vicon/ball.z_trans",
+        help="which column is which: t (time), frame, x, y, z, times (of impacts), "
+        "object, position_1, velocity_1, effort_1, current_1, ...; a column by its name, or by its "
+        "number from 1; of a log TOPIC.FIELD, as z=/vicon/ball.z_trans",
     )
     add(
         "--fps",

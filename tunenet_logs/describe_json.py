@@ -22,7 +22,7 @@ _INFO_KEYS = (
     *("bytes", "start_ns", "end_ns", "duration_s", "kind", "source", "preset", "rig", "truth"),
     *("counts", "notes", "away", "warnings", "damage", "channels"),
 )
-_CHECK_KEYS = ("whole", "messages", "channels", "damage", "notes")
+_CHECK_KEYS = ("whole", "messages", "channels", "damage", "left_out", "notes")
 
 
 def info_fields(path: Path, episode: Episode) -> dict[str, Any]:
@@ -55,10 +55,14 @@ def check_fields(path: Path, health: Health) -> dict[str, Any]:
     return {
         "log": str(path),
         "error": None,
-        "whole": not health.damage,
+        "whole": health.whole,
         "messages": sum(channel.messages for channel in channels),
         "channels": len(channels),
         "damage": health.damage,
+        "left_out": [
+            {"name": one.name, "used": one.used, "by_reason": dict(one.by_reason)}
+            for one in health.left_out
+        ],
         "notes": health.doubts,
     }
 

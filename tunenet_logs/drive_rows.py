@@ -61,14 +61,17 @@ class NumberRows:
             return [], []
         length = max(self._lengths, key=lambda one: len(self._lengths[one][0]))
         own_ns, stored = self._lengths[length]
-        keep, stamps_ns, notes = sorted_stamps(np.frombuffer(own_ns, np.int64))
+        numbers = np.frombuffer(stored, np.float64).reshape(-1, length)
+        keep, stamps_ns, notes, left_out = sorted_stamps(
+            np.frombuffer(own_ns, np.int64), (numbers,)
+        )
         others = sum(len(own) for own, _ in self._lengths.values()) - len(own_ns)
         if others:
             notes.append(f"{others} messages of another length than {length} were left out")
-        values = np.frombuffer(stored, np.float64).reshape(-1, length)[keep]
+        values = numbers[keep]
         values[~np.isfinite(values)] = np.nan
         columns = tuple(map(str, range(length)))
-        signal = Signal(self.topic, stamps_ns, values, columns, "1", drives=True)
+        signal = Signal(self.topic, stamps_ns, values, columns, "1", drives=True, left_out=left_out)
         return [signal], [f"{self.topic}: {note}" for note in notes]
 
 
@@ -102,10 +105,13 @@ class WrenchRows:
 
     def signals(self) -> tuple[list[Signal], list[str]]:
         """Those of the two that have any value, and what was repaired."""
-        keep, stamps_ns, notes = order_samples(
-            np.frombuffer(self._header_ns, np.int64), np.frombuffer(self._log_ns, np.int64)
+        wrenches = np.frombuffer(self._values, np.float64).reshape(-1, 6)
+        keep, stamps_ns, notes, left_out = order_samples(
+            np.frombuffer(self._header_ns, np.int64),
+            np.frombuffer(self._log_ns, np.int64),
+            (wrenches,),
         )
-        values = np.frombuffer(self._values, np.float64).reshape(-1, 6)[keep]
+        values = wrenches[keep]
         values[~np.isfinite(values)] = np.nan
         found = [
             Signal(
@@ -116,6 +122,7 @@ class WrenchRows:
                 unit,
                 drives=True,
                 frame=self._frames.name,
+                left_out=left_out,
             )
             for (label, unit), three in zip(
                 self._QUANTITIES, (values[:, :3], values[:, 3:]), strict=True

@@ -42,6 +42,7 @@ class Signal:
         drives: whether it is what drives something, a command to it or a force on it, and not how
             that moves; see `measured`.
         frame: in which its values are, as the log calls it; "" where it does not say.
+        left_out: samples that the log had besides, by the reason; see `left_out`.
 
     Raises:
         ValueError: shapes disagree, or the stamps do not increase.
@@ -55,10 +56,11 @@ class Signal:
     counts_frames: bool = False
     drives: bool = False
     frame: str = ""
+    left_out: Mapping[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        stamps = np.array(self.stamps_ns, dtype=np.int64, order="C")  # copies
-        values = np.array(self.values, dtype=np.float64, order="C")
+        stamps = _own(self.stamps_ns, np.dtype(np.int64))
+        values = _own(self.values, np.dtype(np.float64))
         expected = (len(stamps), len(self.columns))
         if stamps.ndim != 1 or values.shape != expected:
             raise ValueError(f"{self.name}: values have shape {values.shape}, expected {expected}")
@@ -67,6 +69,7 @@ class Signal:
         for name, array in (("stamps_ns", stamps), ("values", values)):
             array.flags.writeable = False
             object.__setattr__(self, name, array)
+        object.__setattr__(self, "left_out", MappingProxyType(dict(self.left_out)))
 
     @property
     def is_position(self) -> bool:
@@ -84,6 +87,12 @@ class Signal:
         if len(self.stamps_ns) < 2:
             return 0.0
         return 1e9 / float(np.median(np.diff(self.stamps_ns)))
+
+
+def _own(array: NDArray[Any], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """A copy that nobody else changes; what nobody may change is kept: it may be large."""
+    is_kept = isinstance(array, np.ndarray) and array.dtype == dtype and array.flags.c_contiguous
+    return array if is_kept and not array.flags.writeable else np.array(array, dtype, order="C")
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,6 +234,7 @@ class Channel:
         pictures: whether its messages are images that `Episode.frames` gives.
         drives: whether they are commands or forces; see `Signal.drives`.
         sounds: whether they are sound that `Episode.sounds` gives.
+        left_out: pictures or pieces of sound that it had besides, by the reason; see `left_out`.
     """
 
     topic: str
@@ -235,6 +245,7 @@ class Channel:
     pictures: bool = False
     drives: bool = False
     sounds: bool = False
+    left_out: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def messages(self) -> int:

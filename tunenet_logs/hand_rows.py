@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from array import array
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from tunenet_logs.formats.structure import (
     node_at,
     numbers_in,
 )
+from tunenet_logs.left_out import UNREADABLE, added
 from tunenet_logs.sample_order import order_samples, sorted_stamps
 
 IMPACTS = "impacts"
@@ -165,7 +166,7 @@ class HandRows:
             impacts, repairs = self._impacts(header_ns, log_ns)
             found.append(impacts)
             notes += [f"{IMPACTS}: {repair}" for repair in repairs]
-        keep, stamps_ns, counts, repairs = self._stamps(header_ns, log_ns, options)
+        keep, stamps_ns, counts, repairs, left_out = self._stamps(header_ns, log_ns, options)
         notes += [f"{self.topic}: {repair}" for repair in repairs]
         if any(axis in self._columns for axis in AXES):
             values = np.zeros((len(log_ns), 3))
@@ -178,13 +179,13 @@ class HandRows:
             signal, more = position_signal(
                 self.topic, stamps_ns, values[keep], unit, options, counts_frames=counts
             )
-            found.append(signal)
+            found.append(replace(signal, left_out=added(signal.left_out, left_out)))
             notes += more
         for quantity, unit in _QUANTITIES.items():
             joints = self._joints(quantity)
             if joints:
                 signal = self._joint_signal(quantity, unit, joints, keep, stamps_ns, options)
-                found.append(signal)
+                found.append(replace(signal, left_out=left_out))
         return [signal for signal in found if len(signal.stamps_ns)], notes
 
     def _joints(self, quantity: str) -> list[int]:
@@ -220,13 +221,16 @@ class HandRows:
 
     def _stamps(
         self, header_ns: NDArray[np.int64], log_ns: NDArray[np.int64], options: ReadOptions
-    ) -> tuple[NDArray[np.intp], NDArray[np.int64], bool, list[str]]:
-        """Which messages to keep, their stamps, whether these count frames, what was repaired."""
+    ) -> tuple[NDArray[np.intp], NDArray[np.int64], bool, list[str], dict[str, int]]:
+        """Which messages to keep, their stamps, whether these count frames, what was repaired.
+
+        Last, how many are not kept, by the reason.
+        """
         assert self._columns is not None
         given = self._columns.get("t") or self._columns.get("frame")
         if given is None:
-            keep, stamps_ns, notes = order_samples(header_ns, log_ns)
-            return keep, stamps_ns, False, notes
+            keep, stamps_ns, notes, left_out = order_samples(header_ns, log_ns, self._values())
+            return keep, stamps_ns, False, notes, left_out
         counts = False
         if "t" in self._columns:
             own_ns, usable = _as_ns(given, log_ns)
@@ -234,8 +238,16 @@ class HandRows:
             frames = np.array(given.values, np.float64)
             usable = np.flatnonzero(np.abs(frames) < 2**40)
             own_ns, counts = frame_stamps(frames[usable], None, options)
-        keep, stamps_ns, notes = sorted_stamps(own_ns)
-        return usable[keep], stamps_ns, counts, notes
+        keep, stamps_ns, notes, left_out = sorted_stamps(own_ns, self._values(usable))
+        untimed = {UNREADABLE: len(log_ns) - len(usable)}
+        return usable[keep], stamps_ns, counts, notes, added(left_out, untimed)
+
+    def _values(self, rows: NDArray[np.intp] | None = None) -> list[NDArray[np.float64]]:
+        """What the fields that are no times hold, each of shape (T,)."""
+        assert self._columns is not None
+        of_samples = (one.values for name, one in self._columns.items() if name not in _STAMPS)
+        columns = [np.asarray(values, np.float64) for values in of_samples]
+        return columns if rows is None else [values[rows] for values in columns]
 
     def _impacts(
         self, header_ns: NDArray[np.int64], log_ns: NDArray[np.int64]
@@ -243,9 +255,9 @@ class HandRows:
         assert self._columns is not None
         if "times" in self._columns:
             own_ns, _ = _as_ns(self._columns["times"], log_ns)
-            _, stamps_ns, notes = sorted_stamps(own_ns)
+            _, stamps_ns, notes, _ = sorted_stamps(own_ns)
         else:
-            _, stamps_ns, notes = order_samples(header_ns, log_ns)
+            _, stamps_ns, notes, _ = order_samples(header_ns, log_ns)
         return Signal(IMPACTS, stamps_ns, np.ones((len(stamps_ns), 1)), ("impact",), "1"), notes
 
 

@@ -1,4 +1,4 @@
-"""What messages of an imported log cannot say: units that nobody named, stamps that count frames.
+"""What messages of an imported log cannot say: units that nobody named, samples that are left out.
 
 An import writes it to the notes of the log, by topic, and a reader puts it back, so that an
 imported log is tuned as what it was imported from.
@@ -6,7 +6,7 @@ imported log is tuned as what it was imported from.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from tunenet_logs.episode import FRAME_NS, UNSTATED, Channel, Episode, Frame, Signal
 from tunenet_logs.formats.read_options import ReadOptions
+from tunenet_logs.left_out import added, as_note, of_note
 from tunenet_logs.messages import HEADER
 
-_UNIT, _COUNTS, _IMPACTS = "length_unit:", "counts_frames:", "impacts:"
+_UNIT, _COUNTS, _IMPACTS, _LEFT_OUT = "length_unit:", "counts_frames:", "impacts:", "left_out:"
 """How notes begin, before a signal's name."""
 
 _UNTIMED = "frames_untimed"
@@ -46,12 +47,28 @@ def notes_of(signal: Signal, name: str) -> dict[str, str]:
         notes[_COUNTS + name] = _YES
     if is_impacts(signal):
         notes[_IMPACTS + name] = _YES
+    if signal.left_out:
+        notes[_LEFT_OUT + name] = as_note(signal.left_out)
     return notes
 
 
 def notes_of_frames(episode: Episode) -> dict[str, str]:
     """The note on an episode's pictures, if there is one."""
     return {_UNTIMED: _YES} if episode.frames_untimed else {}
+
+
+def notes_of_channels(episode: Episode, topic_of: Callable[[str], str]) -> dict[str, str]:
+    """The notes on what an episode's pictures and sounds lack.
+
+    Args:
+        episode: that is imported.
+        topic_of: what a topic is called in the imported log.
+    """
+    return {
+        _LEFT_OUT + topic_of(one.topic): as_note(one.left_out)
+        for one in episode.channels
+        if any(one.left_out.values()) and one.skipped is None
+    }
 
 
 def restored(episode: Episode, options: ReadOptions) -> Episode:
@@ -62,7 +79,7 @@ def restored(episode: Episode, options: ReadOptions) -> Episode:
         options: the user's, which go before the notes.
     """
     notes = episode.info.notes
-    if not any(key.startswith((_UNIT, _COUNTS, _IMPACTS, _UNTIMED)) for key in notes):
+    if not any(key.startswith((_UNIT, _COUNTS, _IMPACTS, _LEFT_OUT, _UNTIMED)) for key in notes):
         return episode
     impacts = {
         one.topic: _impacts(one)
@@ -70,7 +87,14 @@ def restored(episode: Episode, options: ReadOptions) -> Episode:
         if one.type_name == HEADER and notes.get(_IMPACTS + one.topic) == _YES and one.messages
     }
     channels = tuple(
-        replace(one, skipped=None) if one.topic in impacts else one for one in episode.channels
+        replace(
+            one,
+            skipped=None if one.topic in impacts else one.skipped,
+            left_out=added(one.left_out, of_note(notes.get(_LEFT_OUT + one.topic, "")))
+            if one.pictures or one.sounds
+            else {},
+        )
+        for one in episode.channels
     )
     signals = {**episode.signals, **impacts}
     found = replace(
@@ -104,6 +128,8 @@ def _restored(signal: Signal, notes: Mapping[str, str], options: ReadOptions) ->
     unit = notes.get(_UNIT + signal.name, "")
     if signal.is_position and unit and not options.length_unit:
         signal = replace(signal, unit=UNSTATED if unit == _UNKNOWN else "px")
+    if before := of_note(notes.get(_LEFT_OUT + signal.name, "")):
+        signal = replace(signal, left_out=added(signal.left_out, before))
     if notes.get(_COUNTS + signal.name) != _YES:
         return signal
     if not options.rate_hz:

@@ -14,14 +14,16 @@ from tunenet_logs import messages
 from tunenet_logs.episode import Channel, Episode, Frame, Signal
 from tunenet_logs.errors import LogError, UsageError
 from tunenet_logs.formats.read_options import AS_IT_SAYS, ReadOptions
-from tunenet_logs.import_notes import is_impacts, notes_of, notes_of_frames
+from tunenet_logs.import_notes import is_impacts, notes_of, notes_of_channels, notes_of_frames
 from tunenet_logs.jpeg import compressed
+from tunenet_logs.left_out import left_out_of
 from tunenet_logs.measured import measured
 from tunenet_logs.position_rows import ORIENTATION
+from tunenet_logs.progress import told
 from tunenet_logs.reader import read_episode
 from tunenet_logs.sound import Sound
 from tunenet_logs.sound_notes import sound_blocks, sound_notes_of, why_not_kept
-from tunenet_logs.terminal import Progress
+from tunenet_logs.terminal import Progress, one_line
 from tunenet_logs.writer import EpisodeWriter
 
 JOINT_PARTS = ("position", "velocity", "effort")
@@ -41,6 +43,9 @@ Write = Callable[[EpisodeWriter], None]
 
 _DRIVES = "a command or a force, which stays in the log that is imported: tune a model from that"
 
+_AT_ONCE = 10_000
+"""Samples of joints that are made ready to be written."""
+
 _NAME_ANOTHER = "name a log that does, or say which column is which with --columns"
 
 
@@ -50,7 +55,7 @@ class Imported:
 
     Attributes:
         messages: how many were written.
-        left_out: channels that hold nothing that is used, with the reason.
+        left_out: channels that hold nothing that is used, with the reason; and samples of others.
         renamed: what the log called otherwise than its topic is called now, and that topic.
         warnings: what was lost or is doubtful in the log that was read.
     """
@@ -82,10 +87,16 @@ def import_log(
         raise UsageError(f"{output}: name a .mcap file with -o")
     if output.exists() and path.exists() and output.samefile(path):
         raise UsageError(f"{output}: is the log itself, which is never changed; choose another -o")
-    episode = measured(read_episode(path, options))  # a command would become a state
+    with (progress or Progress(quiet=True)).stages(one_line(path)):
+        return _imported(path, output, overwrite=overwrite, options=options)
+
+
+def _imported(path: Path, output: Path, *, overwrite: bool, options: ReadOptions) -> Imported:
+    everything = read_episode(path, options, most_numbers=np.inf)
+    episode = measured(everything)  # a command would become a state
     named = {*episode.signals, *episode.picture_topics, *episode.sound_topics}
     topics = _Topics({*named, *joint_topics(episode)})
-    said = notes_of_frames(episode)
+    said = notes_of_frames(episode) | notes_of_channels(episode, ros_topic)
     heard, unheard = _sounds(episode)
     for sound in heard:
         said |= sound_notes_of(sound)
@@ -100,13 +111,10 @@ def import_log(
     source = episode.info.source or path.name
     info = replace(episode.info, source=source, notes=notes)
     total = sum(channel.messages for channel in episode.channels if channel.skipped is None)
-    with (
-        EpisodeWriter(output, info, overwrite=overwrite, live=False, is_import=True) as writer,
-        (progress or Progress(quiet=True)).bar(total, "importing", "message") as bar,
-    ):
-        for _, _, write in heapq.merge(*streams, key=lambda message: message[:2]):
+    with EpisodeWriter(output, info, overwrite=overwrite, live=False, is_import=True) as writer:
+        merged = heapq.merge(*streams, key=lambda message: message[:2])
+        for _, _, write in told(merged, "importing", total):
             write(writer)
-            bar.update(1)
         if not writer.accepted:
             raise LogError(_why_nothing(path, episode, unheard), _NAME_ANOTHER)
     left_out = [
@@ -114,7 +122,7 @@ def import_log(
         for channel in episode.channels
         if channel.skipped
     ]
-    left_out += unheard
+    left_out += [*unheard, *map(str, left_out_of(episode))]
     return Imported(writer.written, tuple(left_out), tuple(topics.renamed), episode.warnings)
 
 
@@ -233,32 +241,46 @@ def _joint_states(topic: str, parts: dict[str, Signal]) -> Iterator[tuple[int, s
     Parts that came in the same messages have the same stamps and joints; those of a table need not.
     """
     names = list(dict.fromkeys(name for part in parts.values() for name in part.columns))
-    rows = {
-        part: dict(zip(signal.stamps_ns.tolist(), range(len(signal.stamps_ns)), strict=True))
-        for part, signal in parts.items()
-    }
     places = {part: [names.index(name) for name in parts[part].columns] for part in parts}
-    for stamp_ns in sorted(set().union(*rows.values())):
+    every = [signal.stamps_ns for signal in parts.values()]
+    stamps_ns = every[0]
+    if any(one is not stamps_ns for one in every):
+        stamps_ns = np.unique(np.concatenate(every))
+    for begin in range(0, len(stamps_ns), _AT_ONCE):
+        some_ns = stamps_ns[begin : begin + _AT_ONCE]
+        columns = [
+            _values_at(parts[part], some_ns, places[part], len(names)) if part in parts else None
+            for part in JOINT_PARTS
+        ]
+        for row, stamp_ns in enumerate(some_ns.tolist()):
 
-        def write(writer: EpisodeWriter, stamp: int = stamp_ns) -> None:
-            quantities = [
-                _spread(parts[part].values[rows[part][stamp]], places[part], len(names))
-                if part in parts and stamp in rows[part]
-                else ()
-                for part in JOINT_PARTS
-            ]
-            writer.write_joints(topic, stamp, names, *quantities)
+            def write(
+                writer: EpisodeWriter, stamp: int = stamp_ns, row: int = row, of: Any = columns
+            ) -> None:
+                quantities = [() if one is None or not one[1][row] else one[0][row] for one in of]
+                writer.write_joints(topic, stamp, names, *quantities)
 
-        yield stamp_ns, topic, write
+            yield stamp_ns, topic, write
 
 
-def _spread(values: np.ndarray, places: list[int], count: int) -> np.ndarray:
-    """Values of some of `count` joints, NaN for the others."""
-    if places == list(range(count)):
-        return values
-    spread = np.full(count, np.nan)
-    spread[places] = values
-    return spread
+def _values_at(
+    signal: Signal, stamps_ns: np.ndarray, places: list[int], count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Values of `count` joints at some stamps, NaN where it has none, and whether it has the stamp.
+
+    Args:
+        signal: of some of the joints.
+        stamps_ns: in order, shape (T,) [ns].
+        places: of its columns among the joints.
+        count: of joints.
+
+    Returns:
+        Shape (T, count), and shape (T,).
+    """
+    rows = np.minimum(np.searchsorted(signal.stamps_ns, stamps_ns), len(signal.stamps_ns) - 1)
+    values = np.full((len(stamps_ns), count), np.nan)
+    values[:, places] = signal.values[rows]
+    return values, signal.stamps_ns[rows] == stamps_ns
 
 
 def _sounds(episode: Episode) -> tuple[list[Sound], list[str]]:

@@ -79,6 +79,9 @@ AUDIO_TOPIC = "/audio"
 OUTCOME_TOPIC = "/task/outcome"
 """Where what the hardware did goes."""
 
+RECOVERY_RECORD = "tunenet/recovery"
+"""The metadata record of a recovered log that says what was lost."""
+
 INFO_RECORD = "tunenet/episode"
 """The metadata record of a log that holds its EpisodeInfo."""
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from tunenet_logs.clock_jumps import SoundPart, filmed_part, sound_part
 from tunenet_logs.episode import Episode, Signal
+from tunenet_logs.left_out import BY_CLOCK, added
 
 
 def on_one_clock(episode: Episode) -> Episode:
@@ -24,21 +25,34 @@ def on_one_clock(episode: Episode) -> Episode:
 
 
 def _kept(signal: Signal, part: SoundPart) -> Signal:
-    return replace(signal, stamps_ns=signal.stamps_ns[part.keep], values=signal.values[part.keep])
+    stamps_ns, values = signal.stamps_ns[part.keep], signal.values[part.keep]
+    cut = {BY_CLOCK: len(signal.stamps_ns) - len(stamps_ns)}
+    return replace(signal, stamps_ns=stamps_ns, values=values, left_out=added(signal.left_out, cut))
 
 
-def jump_warnings(episode: Episode, *, by_channel: bool = False) -> list[str]:
-    """What a user should know of the clocks of an episode's signals; the same words only once.
+def with_jumps_of_pictures(episode: Episode) -> Episode:
+    """A film's episode, whose pictures beyond a jump of their clock are said to be left out.
 
     Args:
-        episode: as it was read.
-        by_channel: whether its channels' stamps are those of its pictures, as in a video file.
+        episode: its channels' stamps are those of its pictures, as in a video file.
     """
-    parts = {name: sound_part(signal.stamps_ns) for name, signal in episode.signals.items()}
-    for channel in episode.channels if by_channel else ():
-        if channel.pictures and channel.skipped is None:
-            parts.setdefault(channel.topic, filmed_part(channel.log_ns))
-    return _said(parts)
+    parts = {
+        channel.topic: filmed_part(channel.log_ns)
+        for channel in episode.channels
+        if channel.pictures and channel.skipped is None
+    }
+    channels = tuple(
+        replace(one, left_out={BY_CLOCK: one.messages - len(parts[one.topic].keep)})
+        if one.topic in parts
+        else one
+        for one in episode.channels
+    )
+    return replace(episode, channels=channels, warnings=(*episode.warnings, *_said(parts)))
+
+
+def jump_warnings(episode: Episode) -> list[str]:
+    """What a user should know of the clocks of an episode's signals; the same words only once."""
+    return _said({name: sound_part(one.stamps_ns) for name, one in episode.signals.items()})
 
 
 def _said(parts: Mapping[str, SoundPart]) -> list[str]:

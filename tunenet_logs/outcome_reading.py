@@ -18,6 +18,7 @@ from tunenet_logs.formats.base import (
     RawMessage,
     UnusableError,
     described,
+    one_by_one,
 )
 from tunenet_logs.formats.budget import Budget, OverBudgetError
 from tunenet_logs.formats.mcap_container import MAGIC as MCAP_MAGIC
@@ -152,7 +153,7 @@ def _of_log(path: Path, container: Container, warn: Warn) -> Iterator[Outcome]:
     decoders: dict[RawChannel, Decode | None] = {}
     channels: list[RawChannel] = []
     try:
-        for record in container(path, losses):
+        for record in one_by_one(container(path, losses)):
             if isinstance(record, RawChannel):
                 channels.append(record)
             elif isinstance(record, RawMessage) and _is_outcome(record.channel):

@@ -3,23 +3,30 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Signal
 from tunenet_logs.formats.base import BeyondLimitError
 from tunenet_logs.formats.position_types import PositionSample
-from tunenet_logs.one_frame import OneFrame
 from tunenet_logs.sample_order import order_samples
+from tunenet_logs.sources import take_turns, two_sources, two_sources_words
+from tunenet_logs.terminal import listed
 
 ORIENTATION = "orientation"
 """How the signal of orientations that stands beside one of positions ends."""
 
 _MOST_NAMES = 1000
 """Bodies of one topic; more are no robot's, but a damaged or hostile log's."""
+
+_MOST_FRAMES = 100
+"""Of a body without a name; more are none."""
 
 _TURNED = 1e-9
 """Of a quaternion's vector: less is no rotation."""
@@ -36,7 +43,33 @@ class _Samples:
     log_ns: array[int] = field(default_factory=lambda: array("q"))
     positions: array[float] = field(default_factory=lambda: array("d"))
     quaternions: array[float] = field(default_factory=lambda: array("d"))
-    frame: OneFrame = field(default_factory=OneFrame)
+
+    @property
+    def places(self) -> Array:
+        """Positions, shape (T, 3)."""
+        return np.frombuffer(self.positions, np.float64).reshape(-1, 3)
+
+    @property
+    def stores(self) -> tuple[array[Any], ...]:
+        """All that there is."""
+        return self.header_ns, self.log_ns, self.positions, self.quaternions
+
+    def part(self, rows: NDArray[np.bool_]) -> _Samples:
+        """Some of them, `rows` of shape (T,)."""
+        parts: list[array[Any]] = []
+        for store in self.stores:
+            every = np.frombuffer(store, store.typecode).reshape(len(rows), -1)
+            parts.append(array(store.typecode, every[rows].tobytes()))
+        return _Samples(*parts)
+
+    @classmethod
+    def joined(cls, samples: Sequence[_Samples]) -> _Samples:
+        """Several, in the order in which they begin."""
+        joined = cls()
+        for one in sorted(samples, key=lambda one: one.log_ns[0]):
+            for store, more in zip(joined.stores, one.stores, strict=True):
+                store.extend(more)
+        return joined
 
 
 @dataclass(eq=False)
@@ -47,11 +80,13 @@ class PositionRows:
         topic: its name.
         unit: of the positions.
         scale: what makes it of the messages' own.
+        names_one: whether each message is of one body, whose name counts only among several.
     """
 
     topic: str
     unit: str = "m"
     scale: float = 1.0
+    names_one: bool = False
     _rows: dict[tuple[str, str], _Samples] = field(default_factory=dict, init=False)
 
     def add(self, log_ns: int, positions: Iterable[PositionSample]) -> None:
@@ -61,18 +96,18 @@ class PositionRows:
             BeyondLimitError: more bodies than a topic may have.
             ValueError, OverflowError: they make no sense.
         """
-        for stamp_ns, name, frame, x, y, z, *turn in positions:
-            key = (name, frame if name else "")
-            rows = self._rows.get(key)
+        for stamp_ns, name, where, x, y, z, *turn in positions:
+            is_counter = not name and len(self._rows) >= _MOST_FRAMES  # what calls itself a frame
+            frame = "" if is_counter and (name, where) not in self._rows else where
+            rows = self._rows.get((name, frame))
             if rows is None:
                 if len(self._rows) >= _MOST_NAMES:
                     raise BeyondLimitError(f"over {_MOST_NAMES} names")
-                rows = self._rows[key] = _Samples()
+                rows = self._rows[name, frame] = _Samples()
             rows.header_ns.append(stamp_ns)
             rows.log_ns.append(log_ns)
             rows.positions.extend((x, y, z))
             rows.quaternions.extend(turn)
-            rows.frame.add(frame)
 
     def signals(self) -> tuple[list[Signal], list[str]]:
         """For each body and frame its positions and, where it ever turns, its orientations.
@@ -84,29 +119,63 @@ class PositionRows:
         found: list[Signal] = []
         notes: list[str] = []
         taken: set[str] = set()
-        for (name, frame), rows in self._rows.items():
+        for name, frame, rows in self._bodies(notes):
             full = f"{self.topic}.{name}" if name else self.topic
             if full in taken:
                 full = f"{full}@{frame}"
-                notes.append(f"{full}: {name} has a place in several frames, each is by itself")
+                notes.append(
+                    f"{full}: {name or self.topic} has a place in several frames, each is by itself"
+                )
             taken.add(full)
-            keep, stamps_ns, repairs = order_samples(
-                np.frombuffer(rows.header_ns, np.int64), np.frombuffer(rows.log_ns, np.int64)
-            )
-            values = np.frombuffer(rows.positions, np.float64).reshape(-1, 3)[keep]
-            values[~np.isfinite(values)] = np.nan
-            if self.scale != 1.0:
-                values = values * self.scale
-            own = rows.frame.name
-            found.append(Signal(full, stamps_ns, values, ("x", "y", "z"), self.unit, frame=own))
-            notes += [f"{full}: {repair}" for repair in repairs]
-            turns = np.frombuffer(rows.quaternions, np.float64).reshape(-1, 4)
-            label = f"{full}.{ORIENTATION}"
-            if len(turns) and label not in taken and _is_told(turns[keep]):
-                taken.add(label)
-                columns = ("x", "y", "z", "w")
-                found.append(Signal(label, stamps_ns, turns[keep], columns, "1", frame=own))
+            second = two_sources(rows.places)
+            if second is None:
+                found += self._signals_of(full, frame, rows, taken, notes)
+                continue
+            other = f"{full}@2"
+            taken.add(other)
+            notes.append(two_sources_words(full, second, other))
+            found += self._signals_of(full, frame, rows.part(~second), taken, notes)
+            found += self._signals_of(other, frame, rows.part(second), taken, notes)
         return found, notes
+
+    def _bodies(self, notes: list[str]) -> Iterator[tuple[str, str, _Samples]]:
+        """Name, frame and samples of each; the frame "" where it changes."""
+        is_one = self.names_one and len({name for name, _ in self._rows}) == 1
+        frames: dict[str, list[tuple[str, _Samples]]] = {}
+        for (name, frame), rows in self._rows.items():
+            frames.setdefault("" if is_one else name, []).append((frame, rows))
+        if self.names_one and len(frames) > 1:
+            notes.append(f"{self.topic}: several bodies, by child_frame_id: {listed(frames)}")
+        for name, parts in frames.items():
+            logs = [np.array(rows.log_ns, np.int64) for _, rows in parts]
+            if name or any(take_turns(*both) for both in pairwise(logs)):
+                yield from ((name, frame, rows) for frame, rows in parts)
+            elif len(parts) == 1:
+                yield name, *parts[0]
+            else:  # it was called otherwise from some time on
+                yield name, "", _Samples.joined([rows for _, rows in parts])
+
+    def _signals_of(
+        self, full: str, frame: str, rows: _Samples, taken: set[str], notes: list[str]
+    ) -> Iterator[Signal]:
+        """Those of one body; `taken` and `notes` get what is to be known."""
+        header_ns, log_ns = (np.frombuffer(own, np.int64) for own in (rows.header_ns, rows.log_ns))
+        keep, stamps_ns, repairs, left_out = order_samples(header_ns, log_ns, (rows.places,))
+        values = rows.places[keep]
+        values[~np.isfinite(values)] = np.nan
+        if self.scale != 1.0:
+            values = values * self.scale
+        axes = ("x", "y", "z")
+        yield Signal(full, stamps_ns, values, axes, self.unit, frame=frame, left_out=left_out)
+        notes += [f"{full}: {repair}" for repair in repairs]
+        turns = np.frombuffer(rows.quaternions, np.float64).reshape(-1, 4)
+        label = f"{full}.{ORIENTATION}"
+        if len(turns) and label not in taken and _is_told(turns[keep]):
+            taken.add(label)
+            columns = ("x", "y", "z", "w")
+            yield Signal(
+                label, stamps_ns, turns[keep], columns, "1", frame=frame, left_out=left_out
+            )
 
 
 def _is_told(quaternions: Array) -> bool:

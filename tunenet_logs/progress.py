@@ -19,6 +19,10 @@ _SOON_S = 0.1
 """Between two tellings: a terminal shows no more, and a callback may be slow."""
 
 
+_NEARLY = 0.999
+"""Told of what is not done yet."""
+
+
 @contextmanager
 def heard_by(listener: Listener | None) -> Generator[None]:
     """Let `listener` hear of the work in this block; nobody if it is None."""
@@ -29,6 +33,32 @@ def heard_by(listener: Listener | None) -> Generator[None]:
         _listener.reset(token)
 
 
+def teller(what: str) -> Callable[[float], object]:
+    """Make what tells which fraction of something is done, as often as anybody wants to hear it.
+
+    Args:
+        what: is done, in words.
+    """
+    listener = _listener.get()
+    if listener is None:
+        return silent
+    listener(what, 0.0)
+    next_s = time.monotonic() + _SOON_S
+
+    def tell(fraction: float) -> None:
+        nonlocal next_s
+        now_s = time.monotonic()
+        if now_s >= next_s or fraction >= 1.0:
+            listener(what, min(fraction, 1.0))
+            next_s = now_s + _SOON_S
+
+    return tell
+
+
+def silent(_fraction: float) -> None:
+    """Tell nobody."""
+
+
 def told(items: Iterable[Item], what: str, total: int) -> Iterator[Item]:
     """The items, telling how many of `total` are done with.
 
@@ -37,16 +67,8 @@ def told(items: Iterable[Item], what: str, total: int) -> Iterator[Item]:
         what: is done to them, in words.
         total: how many there are, at least roughly.
     """
-    listener = _listener.get()
-    if listener is None:
-        yield from items
-        return
-    listener(what, 0.0)
-    next_s = time.monotonic() + _SOON_S
+    tell = teller(what)
     for done, item in enumerate(items):
-        now_s = time.monotonic()
-        if now_s >= next_s:
-            listener(what, min(done / max(total, 1), 1.0))
-            next_s = now_s + _SOON_S
+        tell(min(done / max(total, 1), _NEARLY))
         yield item
-    listener(what, 1.0)
+    tell(1.0)

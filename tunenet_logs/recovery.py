@@ -20,18 +20,15 @@ from tunenet_logs.formats.base import (
     RawMessage,
     RawMetadata,
     Record,
+    lost_share,
+    one_by_one,
 )
-from tunenet_logs.formats.registry import open_log
+from tunenet_logs.formats.registry import file_bytes, open_log
 from tunenet_logs.formats.ros import ros_name
-from tunenet_logs.messages import INFO_RECORD
-from tunenet_logs.output.claimed_name import ClaimedName
-from tunenet_logs.output.log_place import not_writable
-
-RECOVERY_RECORD = "tunenet/recovery"
-"""The metadata record of a copy that says what was lost."""
-
-_PARTIAL = ".partial"
-"""Behind the copy's name while it is written."""
+from tunenet_logs.left_out import SHARE_NOTE
+from tunenet_logs.messages import INFO_RECORD, RECOVERY_RECORD
+from tunenet_logs.output.log_place import check_log_name, not_writable
+from tunenet_logs.output.owned_file import OutputPlace, nothing, own_log
 
 _LAST_STAMP = 2**64
 """The first stamp [ns] that MCAP cannot hold."""
@@ -69,23 +66,14 @@ def recover(path: Path, output: Path, *, overwrite: bool = False) -> Recovered:
             f"{path}: holds no messages to recover; bring it in with tunenet-logs import"
         )
     try:
-        partial = ClaimedName(output.with_name(output.name + _PARTIAL), takes_over=True)
-        try:
-            with os.fdopen(os.dup(partial.descriptor), "wb") as file:
-                copy = _Copy(Writer(file, enable_data_crcs=True), path.name)
-                recovered = copy.of(path, container)
-                file.flush()
-                os.fsync(file.fileno())
+        place = OutputPlace(output, "log", own_log if overwrite else nothing)
+        with place.replacing() as partial, partial.open("wb") as file:
+            recovered = _Copy(Writer(file, enable_data_crcs=True), path.name).of(path, container)
+            file.flush()
+            os.fsync(file.fileno())
             if not recovered.messages:
                 why = f" ({recovered.losses[0]})" if recovered.losses else ""
                 raise LogError(f"{path}: holds no message that can be saved{why}")
-            if not partial.rename(output, replaces=overwrite):
-                lost = f"{partial.path.name} {partial.why_lost()} while it was written"
-                raise LogError(f"{output}: {lost}; recover again, and leave that file where it is")
-        finally:
-            partial.remove()  # nothing is there where it has its name
-    except FileExistsError as error:
-        raise LogError(f"{output}: exists by now; choose another name with -o") from error
     except OSError as error:
         raise not_writable(output, error) from error
     return recovered
@@ -96,14 +84,16 @@ def _check_output(path: Path, output: Path, *, overwrite: bool) -> None:
         raise UsageError(f"{output}: name a .mcap file with -o")
     if output.exists() and path.exists() and output.samefile(path):
         raise UsageError(f"{output}: is the log itself, which is never changed; choose another -o")
-    if output.exists() and not overwrite:
-        raise UsageError(f"{output}: exists; choose another name with -o, or pass --overwrite")
+    try:
+        check_log_name(output, overwrite=overwrite)
+    except LogError as error:
+        raise UsageError(str(error)) from error
 
 
 def _records(path: Path, container: Container, losses: list[Loss]) -> Iterator[Record]:
     """What is read, so that a disk that cannot be read is not taken for one that is written."""
     try:
-        yield from container(path, losses)
+        yield from one_by_one(container(path, losses))
     except OSError as error:
         why = f"cannot be read ({error.strerror})"
         raise LogError(f"{path}: {why}; copy it to another disk and recover the copy") from error
@@ -145,7 +135,7 @@ class _Copy:
         lost = [str(loss) for loss in losses if not loss.harmless]
         if self._beyond:
             lost.append(f"{self._beyond} messages with impossible stamps were left out")
-        self._say(lost)
+        self._say(lost, lost_share(losses, self._messages, file_bytes(path)))
         self._writer.finish()
         return Recovered(self._messages, tuple(lost), self._holds_ros1)
 
@@ -182,7 +172,7 @@ class _Copy:
         self._messages += 1
         self._holds_ros1 |= message.channel.encoding == "ros1"
 
-    def _say(self, lost: list[str]) -> None:
+    def _say(self, lost: list[str], share: float) -> None:
         """What happened to the log; and its own counts, where its recorder never came to that."""
         if self._info:
             info = EpisodeInfo.from_strings(self._info)
@@ -190,6 +180,7 @@ class _Copy:
                 info = info.ended("the recording did not end by itself", written=self._messages)
                 self._writer.add_metadata(INFO_RECORD, info.to_strings())
         words = {"from": self._source, "messages": str(self._messages)}
+        words[SHARE_NOTE] = f"{share:.6f}"
         words |= {f"lost.{number}": text for number, text in enumerate(lost[:100])}
         self._writer.add_metadata(RECOVERY_RECORD, words)
 

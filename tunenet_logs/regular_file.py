@@ -15,8 +15,8 @@ _FLAGS = os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
 """Of the opening: a pipe or a terminal that took the file's name meanwhile holds nobody up."""
 
 
-def open_regular(path: Path | str) -> BufferedReader:
-    """Open a regular file, or a link to one, for reading bytes.
+def open_regular(path: Path | str, *, follows: bool = True) -> BufferedReader:
+    """Open a regular file, or a link to one where it `follows`, for reading bytes.
 
     A file that states a size of 0 is read as empty: those under /proc state it too, and reading
     one may wait for ever.
@@ -25,7 +25,7 @@ def open_regular(path: Path | str) -> BufferedReader:
         LogError: it is a pipe, a socket or a device.
         OSError: it is a folder, a circle of links, or cannot be opened.
     """
-    return open(path, "rb", opener=_opened)
+    return open(path, "rb", opener=_opened if follows else _opened_itself)
 
 
 def open_regular_text(
@@ -50,10 +50,14 @@ def real_path(path: Path | str) -> Path:
         return Path(path)
 
 
-def _opened(path: str, _flags: int) -> int:
+def _opened_itself(path: str, flags: int) -> int:
+    return _opened(path, flags, os.O_NOFOLLOW)
+
+
+def _opened(path: str, _flags: int, more_flags: int = 0) -> int:
     """A descriptor; its own state is asked, so that nobody can exchange the file in between."""
     _check(path, Path(path).stat().st_mode)  # before it is opened: that alone starts some devices
-    descriptor = os.open(path, _FLAGS)
+    descriptor = os.open(path, _FLAGS | more_flags)
     try:
         state = os.fstat(descriptor)
         _check(path, state.st_mode)

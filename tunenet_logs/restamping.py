@@ -67,7 +67,8 @@ def restamp(path: Path, topic: str, stamps_ns: Mapping[int, int], note: str) -> 
         LogError: it cannot be copied; the log is as it was.
     """
     try:
-        copy = ClaimedName(path.with_name(path.name + _PARTIAL), takes_over=True)
+        name = path.with_name(f"{path.name}.{os.getpid()}{_PARTIAL}")
+        copy = ClaimedName(name, takes_over=False)
         try:
             with open_regular(path) as log:
                 _copy(log, copy.descriptor, topic, stamps_ns, note)

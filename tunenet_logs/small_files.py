@@ -18,7 +18,9 @@ _DEEPEST = 32
 _MOST_DIGITS = 20
 """Of a whole number: those of a stamp in ns, and one more."""
 
-_BRACKETS = re.compile(r'"(?:[^"\\]|\\.)*"|([\[{])|[\]}]', re.DOTALL)
+_BRACKETS = re.compile(r'"(?:[^"\\]++|\\.)*+"?|([\[{])|[\]}]', re.DOTALL)
+"""And strings, each to its end or the text's: looked for again at every quotation mark of one that
+does not end, they would take the square of its length."""
 
 
 def read_small_file(path: Path, most_bytes: int) -> bytes:

@@ -1,8 +1,8 @@
 """The first lines of every command: from here on, all that it says is its own.
 
-A signal ends it with one line, and libraries say nothing. This imports next to nothing, so that
-these lines come as early as Python allows. The command's own module, with NumPy and all else that
-it needs, is imported after them.
+A signal ends it with one line, libraries say nothing, and no reader that goes away breaks off the
+work. This imports next to nothing, so that these lines come as early as Python allows. The
+command's own module, with NumPy and all else that it needs, is imported after them.
 """
 
 from __future__ import annotations
@@ -13,8 +13,13 @@ import signal
 import sys
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from io import BufferedWriter, FileIO, TextIOWrapper
 from types import FrameType
+
+TYPE_CHECKING = False  # `typing` costs a tenth of the start
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer
 
 WORDS: dict[int, str] = {
     signal.SIGINT: "interrupted",
@@ -40,12 +45,64 @@ def start(prog: str, module: str) -> int:
     for number in WORDS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, end_at_once)
+    keep_streams()
     atexit.register(_ignore)  # the first one is called last: the work is done, and said
     if "--debug" not in sys.argv:
         silence_libraries()
     from importlib import import_module
 
     return import_module(module).main()
+
+
+class _Lasting(FileIO):
+    """A standard stream that takes all that is written, be anybody there or not.
+
+    Attributes:
+        failure: why something could not be written: a full disk; not a reader that went away, as
+            `head` does: who closes a pipe wants no more of it.
+    """
+
+    failure: OSError | None = None
+
+    def write(self, data: ReadableBuffer, /) -> int:
+        """Write what can be written; the rest counts as written."""
+        try:
+            return super().write(data)
+        except BrokenPipeError:
+            pass
+        except OSError as error:
+            self.failure = self.failure or error
+        return memoryview(data).nbytes
+
+
+def keep_streams() -> None:
+    """Let no closed pipe, full disk or missing stream (`>&-`) break off the work and its results.
+
+    A descriptor that is missing would be given to the first file that is opened.
+    """
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)
+    for name, descriptor in (("stdout", 1), ("stderr", 2)):
+        stream = getattr(sys, name)
+        unbuffered = descriptor == 2 or getattr(stream, "write_through", False)
+        encoding = getattr(stream, "encoding", "utf-8")
+        setattr(sys, name, _lasting(descriptor, encoding, unbuffered=unbuffered))
+
+
+def lost_output() -> str:
+    """Return why standard output is not whole; "" where it is, or its reader wants no more."""
+    raw = getattr(getattr(sys.stdout, "buffer", None), "raw", None)
+    failure = raw.failure if isinstance(raw, _Lasting) else None
+    return "" if failure is None else failure.strerror or str(failure)
+
+
+def _lasting(descriptor: int, encoding: str, *, unbuffered: bool) -> TextIOWrapper:
+    raw = _Lasting(descriptor, "w", closefd=False)
+    by_line = unbuffered or raw.isatty()
+    return TextIOWrapper(BufferedWriter(raw), encoding, "backslashreplace", line_buffering=by_line)
 
 
 def silence_libraries() -> None:
@@ -56,17 +113,14 @@ def silence_libraries() -> None:
     theirs leads nowhere: set once, it costs nothing and no thread can meet it half done.
     """
     global _spoken  # noqa: PLW0603 (a process has one)
-    if is_silent() or sys.stderr is None:
+    if is_silent():
         return
     sys.stderr.flush()
     _spoken = os.dup(2)
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 2)
     os.close(nowhere)
-    sys.stderr = open(  # noqa: SIM115 (open as long as the process)
-        _spoken, "w", buffering=1, encoding=sys.stderr.encoding, errors="backslashreplace",
-        closefd=False,
-    )  # fmt: skip
+    sys.stderr = _lasting(_spoken, sys.stderr.encoding, unbuffered=True)
     if not sys.warnoptions:
         warnings.simplefilter("ignore")
 
@@ -94,7 +148,8 @@ def heard() -> Iterator[None]:
 def end_at_once(number: int, _frame: FrameType | None) -> None:
     """End the process: it only imports yet, or has done its work, and leaves nothing half done."""
     _ignore()
-    os.write(_spoken, f"{_prog}: {WORDS[number]}\n".encode())
+    with suppress(OSError):
+        os.write(_spoken, f"{_prog}: {WORDS[number]}\n".encode())
     os._exit(128 + number)
 
 

@@ -5,14 +5,41 @@ from __future__ import annotations
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from types import FrameType
+from types import CodeType, FrameType
+from typing import Any, TypeVar
 
 from tunenet_logs.starting import WORDS, end_at_once
 
-_AGAIN_S = 0.02
-"""Until a signal that came at a bad moment is tried again."""
+_AGAIN_S, _CALLED_AGAIN_S = 0.02, 0.001
+"""Until a signal that came at a bad moment is tried again; and in what a library calls, which is to
+return at once."""
+
+_called_by_c: set[CodeType] = set()
+"""Functions that libraries call, which would print what is raised there, and go on."""
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def called_by_c(function: F) -> F:
+    """Mark a function that a library calls: a signal in it waits until that library returns.
+
+    Where `is_stopping()`, it is to return what ends the library's work.
+    """
+    _called_by_c.add(function.__code__)
+    return function
+
+
+def is_stopping() -> bool:
+    """Whether a signal waits to end what the command does."""
+    return bool(_stops.waits)
+
+
+def stop_now() -> None:
+    """Raise the signal that waits, if one does: what its library gave back may not be whole."""
+    if _stops.waits:
+        _stops.stop(_stops.waits, sys._getframe())
 
 
 class Stopped(KeyboardInterrupt):
@@ -33,23 +60,26 @@ class _Stops:
     def __init__(self) -> None:
         self.held = 0
         self.first = 0
+        self.waits = 0
 
     def stop(self, number: int, frame: FrameType | None) -> None:
         """The handler."""
         if self.first and number != signal.SIGINT:
             return  # a second one must not break off what the first one cleans up
-        if self.held or _is_importing(frame):
-            self.try_again(number)
+        where = _holds(frame)
+        if self.held or where:
+            self.try_again(number, where or _AGAIN_S)
             return
-        self.first = number
+        self.first, self.waits = number, 0
         threading.excepthook = lambda _: None  # a pool's, whose workers are gone
         _end_workers()
         raise Stopped(number)
 
-    def try_again(self, number: int) -> None:
+    def try_again(self, number: int, after_s: float = _AGAIN_S) -> None:
         """Come back in a moment; a thread to wait in could need a lock that is just held."""
+        self.waits = number
         signal.signal(signal.SIGALRM, lambda _, frame: self.stop(number, frame))
-        signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
+        signal.setitimer(signal.ITIMER_REAL, after_s)
 
 
 _stops = _Stops()
@@ -74,7 +104,7 @@ def stoppable() -> Iterator[None]:
         else:
             hooks[1](told)
 
-    _stops.first = 0
+    _stops.first = _stops.waits = 0
     sys.unraisablehook = unraisable
     for number in ours:
         signal.signal(number, _stops.stop)
@@ -104,16 +134,19 @@ def signals_held() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
 
 
-def _is_importing(frame: FrameType | None) -> bool:
-    """Whether a module is being imported: C code there prints exceptions, or takes them for others.
+def _holds(frame: FrameType | None) -> float:
+    """Seconds for which a signal has to wait, for what runs just now; 0 if it may be raised there.
 
-    Nothing is half written by an import, and none takes long.
+    Where a module is being imported C code prints exceptions, or takes them for others; nothing is
+    half written by an import, and none takes long. What a library calls is the same.
     """
     while frame is not None:
+        if frame.f_code in _called_by_c:
+            return _CALLED_AGAIN_S
         if frame.f_code.co_filename.startswith("<frozen importlib"):
-            return True
+            return _AGAIN_S
         frame = frame.f_back
-    return False
+    return 0.0
 
 
 def _end_workers() -> None:

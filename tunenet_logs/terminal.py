@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from tunenet_logs.addresses import without_secrets
 from tunenet_logs.progress import heard_by
 
 _MOST_CHARACTERS = 60
@@ -23,8 +24,9 @@ _MOST_NAMES = 20
 
 _STAGE_FORMAT = "{desc}: {percentage:3.0f} %|{bar}| {remaining} left"
 
-_WATCHED_S, _WORTH_A_WORD_S = 2.0, 10.0
-"""For which a stage is watched before it is said how long it will last, and from when it is."""
+_WATCHED_S, _WORTH_A_WORD_S, _AGAIN_S = 2.0, 10.0, 30.0
+"""For which a stage is watched before it is said how long it will last, from when it is, and after
+which it is said again."""
 
 _IN_SECONDS_S = 90.0
 """Times below it are told in seconds; so many minutes in minutes."""
@@ -34,9 +36,9 @@ def one_line(text: object) -> str:
     r"""A text as one line; whatever does not print is shown as its escape (`\x1b`, `\u202e`).
 
     So no name in a log can move the cursor, change colours, begin a new line or turn the direction
-    of what follows.
+    of what follows. Logins and signatures of addresses are left out.
     """
-    line = str(text)
+    line = without_secrets(str(text))
     if line.isprintable():
         return line
     return "".join(
@@ -101,25 +103,23 @@ class _Shown:
 
 
 class _Announced:
-    """Says of a stage, once, that it will last, and how long by how fast it has been."""
+    """Says of a stage now and then that it will last, and how long by how fast it has been."""
 
     def __init__(self, name: str, say: Callable[[str], None]) -> None:
         self._name, self._say = name, say
         self._what = ""
-        self._since_s = 0.0
-        self._is_said = False
+        self._since_s = self._next_s = 0.0
 
     def __call__(self, what: str, fraction: float) -> None:
         """Look whether there is something to say."""
         now_s = time.monotonic()
         if what != self._what:
-            self._what, self._since_s, self._is_said = what, now_s, False
-        lasted_s = now_s - self._since_s
-        if self._is_said or lasted_s < _WATCHED_S or not fraction:
+            self._what, self._since_s, self._next_s = what, now_s, now_s + _WATCHED_S
+        if now_s < self._next_s or not fraction:
             return
-        left_s = lasted_s * (1 - fraction) / fraction
+        left_s = (now_s - self._since_s) * (1 - fraction) / fraction
         if left_s > _WORTH_A_WORD_S:
-            self._is_said = True
+            self._next_s = now_s + _AGAIN_S
             self._say(f"{self._name}: {what}: about {about(left_s)} more")
 
 
@@ -165,7 +165,7 @@ class Progress:
     def stages(self, name: str) -> Generator[None]:
         """Show the stages of the work in this block that tell how far they are.
 
-        A bar where bars are shown. Else one line about a stage that will last.
+        A bar where bars are shown. Else a line now and then about a stage that lasts.
 
         Args:
             name: whose work it is, for that line.

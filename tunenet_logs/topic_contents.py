@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tunenet_logs.by_hand import HandPicked
 from tunenet_logs.collect import JointRows, PictureStamps, SoundStamps
@@ -22,6 +23,7 @@ from tunenet_logs.formats.base import (
     Decode,
     MessageError,
     RawChannel,
+    RawMessages,
     UnusableError,
     described,
 )
@@ -40,12 +42,22 @@ from tunenet_logs.formats.message_types import (
 )
 from tunenet_logs.formats.pictures import checked_pictures
 from tunenet_logs.formats.read_options import ReadOptions
+from tunenet_logs.formats.ros import known_types, plain_type, ros_name
+from tunenet_logs.formats.ros_stacked import Stacked, stacked_decoder
 from tunenet_logs.formats.shape_messages import UNUSED, ShapeMessages, shape_messages
 from tunenet_logs.formats.sounds import checked_sound
 from tunenet_logs.hand_rows import HandRows
+from tunenet_logs.left_out import DAMAGED_MESSAGES, LOST, NOT_READ, in_proportion
 from tunenet_logs.messages import TASK_OUTCOME
 from tunenet_logs.planned_rows import PlannedRows, PointBudget
 from tunenet_logs.position_rows import PositionRows
+
+_FEWEST_STACKED, _MOST_STACKED, _MOST_LAYOUTS = 16, 64 * 1024, 8
+"""Messages, bytes of each, and layouts of them that are read together: with few of a layout it
+would take longer than one by one."""
+
+_MOST_WAITING = 1024
+"""Messages that come one by one, and wait for more to be read with."""
 
 _LAST_NS = 2**63 - 1
 """The last stamp that fits int64: in the year 2262."""
@@ -63,14 +75,17 @@ class ReadingPlan:
     Args:
         path: the log.
         options: what its user says of it.
+        most_numbers: see below.
 
     Attributes:
         budget: for definitions of types.
         decoders: of the types that are known.
         picks: the fields that are named; None where none is.
+        most_numbers: that are kept of the joints of a topic.
     """
 
-    def __init__(self, path: Path, options: ReadOptions) -> None:
+    def __init__(self, path: Path, options: ReadOptions, most_numbers: float) -> None:
+        self.most_numbers = most_numbers
         self.budget = SchemaBudget()
         self.decoders = Decoders(self.budget)
         self.picks = HandPicked(path, options, self.budget) if options.columns else None
@@ -131,6 +146,8 @@ class TopicContents:
         self._type = message_type_of(channel)
         self._decode: Decode | None = None
         self._shape: ShapeMessages | None = None
+        self._stacked: Callable[[NDArray[np.uint8]], Stacked] | None = None
+        self._waiting: list[tuple[int, bytes]] = []
         try:
             if not plan.picks or isinstance(self._type, PictureType | SoundType):
                 self._read_by_type(plan)
@@ -154,14 +171,18 @@ class TopicContents:
                 raise UnusableError(use)
             self._shape, self._decode, self._read = shape, shape.decode, shape.read
             self.rows = PositionRows(channel.topic, *plan.length(unit_of(channel.type_name)))
-            self._add = self.rows.add
+            self._gather = self.rows.add
             return
         self._decode = plan.decoders.of(channel)
         assert kind is not None
         if isinstance(kind, PositionType):
-            self.rows = PositionRows(channel.topic, *plan.length("m"))
+            self.rows = PositionRows(channel.topic, *plan.length("m"), names_one=kind.names_one)
         elif isinstance(kind, JointType):
-            self.rows = JointRows(channel.topic)
+            self.rows = JointRows(channel.topic, plan.most_numbers)
+            if channel.encoding in ("cdr", "ros1"):
+                is_ros1 = channel.encoding == "ros1"
+                types, name = known_types(is_ros1=is_ros1), ros_name(channel.type_name)
+                self._stacked = stacked_decoder(types, name, is_ros1=is_ros1)
         elif isinstance(kind, DriveType):
             self.rows = plan.drive_rows(channel.topic, kind)
             self._decode = _bounded(self._decode, self.rows.check)
@@ -174,19 +195,18 @@ class TopicContents:
             self._read = checked_pictures(kind)
         elif isinstance(kind, SoundType):
             self._read = checked_sound(kind)
-        self._add: Callable[[int, Any], None] = self.rows.add
+        self._gather: Callable[[int, Any], None] = self.rows.add
 
     def _read_by_hand(self, plan: ReadingPlan) -> None:
         """Read the fields that `--columns` names.
 
         Raises:
             UnusableError: it names none of the channel's.
-            LogError: it names one that is not there.
         """
         rows = plan.picks.rows_of(self.channel) if plan.picks else None
         if rows is None:
             raise UnusableError("--columns names none of its fields")
-        self.rows, self._decode, self._add = rows, rows.decode, rows.add
+        self.rows, self._decode, self._gather = rows, rows.decode, rows.add
         self._read = lambda message: message
 
     @property
@@ -218,7 +238,28 @@ class TopicContents:
         return said
 
     def add(self, log_ns: int, data: bytes | memoryview) -> None:
-        """One message, received at `log_ns` [ns]."""
+        """One message, received at `log_ns` [ns]; it may wait for more to be read with."""
+        if self._stacked is None or len(data) > _MOST_STACKED or not 0 <= log_ns <= _LAST_NS:
+            self.finish()
+            self._add(log_ns, data)
+            return
+        self._waiting.append((log_ns, bytes(data)))
+        if len(self._waiting) >= _MOST_WAITING:
+            self.finish()
+
+    def finish(self) -> None:
+        """Read the messages that wait."""
+        waiting, self._waiting = self._waiting, []
+        if not waiting:
+            return
+        stamps, data = zip(*waiting, strict=True)
+        ends = np.cumsum([len(one) for one in data])
+        begins = np.concatenate([[0], ends[:-1]])
+        heads = np.array(list(zip(stamps, strict=True)), [("log_ns", "<u8")])
+        plain = memoryview(b"".join(data))
+        self.add_all(RawMessages(plain, {}, heads, begins, ends))
+
+    def _add(self, log_ns: int, data: bytes | memoryview) -> None:
         if not 0 <= log_ns <= _LAST_NS:
             self.damaged += 1
             self._why = self._why or "its time lies beyond the year 2262"
@@ -227,7 +268,7 @@ class TopicContents:
         if self._decode is None:
             return
         try:
-            self._add(log_ns, self._read(self._decode(data)))
+            self._gather(log_ns, self._read(self._decode(data)))
             self.used += 1
         except (UnusableError, BeyondLimitError) as reason:
             self.refused += 1
@@ -236,21 +277,80 @@ class TopicContents:
             self.damaged += 1
             self._why = self._why or described(error)
 
+    def add_all(self, messages: RawMessages) -> None:
+        """Messages that lie side by side: those that are alike are read at once."""
+        self.finish()
+        if self._stacked is not None and self._add_stacked(self._stacked, messages):
+            return
+        stamps = messages.heads["log_ns"].tolist()
+        for log_ns, begin, end in zip(
+            stamps, messages.begins.tolist(), messages.ends.tolist(), strict=True
+        ):
+            self._add(log_ns, messages.plain[begin:end])
+
+    def _add_stacked(
+        self, decode: Callable[[NDArray[np.uint8]], Stacked], messages: RawMessages
+    ) -> bool:
+        """Read messages of few layouts; whether they are that, and nothing is wrong with any."""
+        log_ns = messages.heads["log_ns"]
+        sizes = messages.ends - messages.begins
+        if len(sizes) < _FEWEST_STACKED or log_ns.max() > _LAST_NS or sizes.max() > _MOST_STACKED:
+            return False
+        log_ns = log_ns.astype(np.int64)
+        parts: list[tuple[NDArray[np.intp], NDArray[np.int64], Any]] = []
+        try:
+            for size in np.unique(sizes).tolist():
+                places = np.flatnonzero(sizes == size)
+                rows = messages.rows(places, size)
+                while len(places):
+                    if len(parts) >= _MOST_LAYOUTS:
+                        return False
+                    message, same = decode(rows)
+                    parts.append((places[same], log_ns[places[same]], self._read(message)))
+                    places, rows = places[~same], rows[~same]
+            assert isinstance(self.rows, JointRows)
+            self.rows.add_all(sorted(parts, key=lambda part: part[0][0]))
+        except DAMAGED:
+            return False
+        self.used += len(log_ns)
+        self._log_ns.frombytes(log_ns.tobytes())
+        return True
+
     @property
     def first(self) -> str:
         """Why the first message was left out, in parentheses; "" where none was."""
         return f" (the first: {self._why})" if self._why else ""
 
-    def summary(self, *, is_second: bool) -> Channel:
-        """The channel.
+    @property
+    def messages(self) -> int:
+        """How many there are."""
+        return len(self._log_ns)
+
+    def lost_of(self, samples: int, share: float) -> dict[str, int]:
+        """How many samples are missing beside so many, by the reason.
 
         Args:
-            is_second: whether another channel of that topic is used instead.
+            samples: that its messages gave one signal.
+            share: of the whole log, that is lost.
         """
+        return {
+            DAMAGED_MESSAGES: in_proportion(samples, self.damaged, self.used),
+            NOT_READ: in_proportion(samples, self.refused, self.used),
+            LOST: in_proportion(samples, share, 1 - share),
+        }
+
+    def another_name(self, taken: Iterable[str]) -> str:
+        """What it goes by where its topic's name is that of another channel's signals, too."""
+        name, number = f"{self.channel.topic}@{plain_type(self.channel.type_name)}", 1
+        names = set(taken)
+        while any(f"{one}.".startswith(f"{name}{number if number > 1 else ''}.") for one in names):
+            number += 1
+        return f"{name}{number if number > 1 else ''}"
+
+    def summary(self) -> Channel:
+        """The channel."""
         skipped = self._unusable
-        if skipped is None and is_second:
-            skipped = "another channel of that name is used"
-        elif skipped is None and not self.used:
+        if skipped is None and not self.used:
             if not self._log_ns and not self.damaged:
                 skipped = "it holds no message"
             else:
@@ -259,7 +359,7 @@ class TopicContents:
             topic=self.channel.topic,
             type_name=self.channel.type_name,
             encoding=self.channel.encoding,
-            log_ns=np.array(self._log_ns, np.int64),
+            log_ns=np.frombuffer(self._log_ns, np.int64),
             skipped=skipped,
             pictures=isinstance(self._type, PictureType),
             drives=self.drives,

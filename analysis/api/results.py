@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Generator, Iterable, Sequence
+from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +17,9 @@ if TYPE_CHECKING:
     from analysis.campaign.build import Campaign
     from analysis.comparison import Comparison
     from analysis.report.embedded import Kind
+    from tunenet_logs.output.owned_file import Knows
+
+_ELSEWHERE, _ASKED_BY = "choose another place", "overwrite=True"
 
 
 def read_tuning(path: AnyPath) -> Record:
@@ -35,21 +39,19 @@ def save_tuning(tuning: Tuning | Record, path: AnyPath, *, overwrite: bool = Fal
     Args:
         tuning: or its record.
         path: of the JSON.
-        overwrite: whether a file that is no tuning of the same log may be replaced.
+        overwrite: whether the tuning of another log may be replaced.
 
     Raises:
         LogError: something else is there, or it cannot be written.
     """
     from analysis.record_json import to_json
-    from analysis.result_files import check_own_json, replacing, writable
+    from analysis.result_files import tuning_of
 
     record = tuning.record if isinstance(tuning, Tuning) else tuning
-    place = Path(path)
-    if not overwrite:
-        check_own_json(place, *_log_of(record))
-    with writable(place, "choose another place"), replacing(place) as unfinished:
+    knows = tuning_of(*_log_of(record))
+    with _written(Path(path), "tuning", knows, record.log, overwrite=overwrite) as unfinished:
         unfinished.write_text(to_json(record), "utf-8", errors="backslashreplace")
-    return place
+    return Path(path)
 
 
 def review(tuning: Tuning, path: AnyPath, *, overwrite: bool = False) -> Path:
@@ -58,49 +60,55 @@ def review(tuning: Tuning, path: AnyPath, *, overwrite: bool = False) -> Path:
     Args:
         tuning: of a log that could be read.
         path: of the recording, `NAME.rrd`.
-        overwrite: whether a file that is no review of this log may be replaced.
+        overwrite: whether the review of another log may be replaced.
 
     Raises:
         UsageError: the name does not end so.
         LogError: the log could not be read, something else is there, or it cannot be written.
     """
-    from analysis.result_files import check_own_review, replacing, writable
+    from analysis.result_files import review_of
     from analysis.review.tuning_review import write_review
 
     place = _rrd(path)
     if tuning.episode is None:
         raise LogError(f"{tuning.log}: could not be read, so there is nothing to review")
-    if not overwrite:
-        check_own_review(place, *_log_of(tuning.record))
-    with writable(place, "choose another place"), replacing(place) as unfinished:
+    log, sha256 = _log_of(tuning.record)
+    knows = review_of(sha256)
+    with _written(place, "review", knows, log.name, overwrite=overwrite) as unfinished:
         write_review(tuning, tuning.record, unfinished)
     return place
 
 
 def review_campaign(
-    places: AnyPath | Iterable[AnyPath], path: AnyPath, *, jobs: int | None = None
+    places: AnyPath | Iterable[AnyPath],
+    path: AnyPath,
+    *,
+    jobs: int | None = None,
+    overwrite: bool = False,
 ) -> Campaign:
     """Write the review of a campaign, as `tunenet-review` does; its attempts come back.
 
     Args:
         places: folders, logs, tunings, outcomes, tables of outcomes.
-        path: of the recording, `NAME.rrd`; a file of that name is replaced.
+        path: of the recording, `NAME.rrd`.
         jobs: processes for the drops that were not tuned yet; None for all cores.
+        overwrite: whether the review of another campaign may be replaced.
 
     Raises:
         UsageError: nothing of a campaign is there.
-        LogError: it cannot be written.
+        LogError: something else is there, or it cannot be written.
     """
     from analysis.campaign.build import campaign_of
-    from analysis.result_files import writable
+    from analysis.result_files import recording, subject_of
     from analysis.review.campaign import write_campaign
     from tunenet_logs.terminal import Progress
 
     place = _rrd(path)
     named = [places] if isinstance(places, str | PathLike) else list(places)
     campaign = campaign_of(list(map(Path, named)), jobs, Progress(quiet=True), _warn)
-    with writable(place, "choose another place"):
-        write_campaign(campaign, place)
+    knows = recording("campaign", subject_of(campaign.places))
+    with _written(place, "review", knows, campaign.name, overwrite=overwrite) as unfinished:
+        write_campaign(campaign, unfinished)
     return campaign
 
 
@@ -150,7 +158,7 @@ def report(
         figures: a file for the main figure, or a folder for all; None for none.
         kind: of the figures: "pdf" or "png".
         jobs: processes for a campaign's drops; None for all cores.
-        overwrite: whether what this function wrote before may be replaced.
+        overwrite: whether results of other logs may be replaced.
 
     Returns:
         The files that were written.
@@ -161,11 +169,11 @@ def report(
     """
     from analysis.campaign.files import files_of
     from analysis.optional_dependencies import needed
-    from analysis.output_files import check_output
-    from analysis.report.page import report_page
+    from analysis.report.page import PAGE, report_page
     from analysis.report.paper import FigureOrder, write_figures
     from analysis.report.reported import read_reported
-    from analysis.result_files import replacing, writable
+    from analysis.result_files import check_place, in_words, logs_of, marked
+    from tunenet_logs.output.owned_file import OutputPlace
     from tunenet_logs.terminal import Progress
 
     needed("matplotlib", "report")
@@ -173,11 +181,15 @@ def report(
     named = [places] if isinstance(places, str | PathLike) else list(places)
     inputs = list(files_of(list(map(Path, named)), _warn))
     if page is not None:
-        check_output(Path(page), "page", (".html",), inputs, overwrite=overwrite)
+        knows = marked("html", PAGE, {})
+        anybody = OutputPlace(Path(page), "page", knows, elsewhere=_ELSEWHERE, overwrite=True)
+        check_place(anybody, "page", (".html",), inputs)
     reported = read_reported(list(map(Path, named)), jobs, Progress(quiet=True), _warn)
     written: list[Path] = []
     if page is not None:
-        with writable(Path(page), "choose another place"), replacing(Path(page)) as unfinished:
+        logs = logs_of(one.record for one in reported.tunings)
+        knows, of = marked("html", PAGE, logs), in_words(logs)
+        with _written(Path(page), "page", knows, of, overwrite=overwrite) as unfinished:
             unfinished.write_text(report_page(reported), "utf-8")
         written.append(Path(page))
     if figures is not None:
@@ -200,7 +212,7 @@ def save_arm_card(tuning: Tuning, path: AnyPath, *, overwrite: bool = False) -> 
     from analysis.payload.card_saving import save_arm_card as save
     from analysis.result_files import writable
 
-    with writable(Path(path), "choose another place"):
+    with writable(Path(path), _ELSEWHERE):
         save(tuning, Path(path), overwrite=overwrite)
     return Path(path)
 
@@ -226,7 +238,7 @@ def export(
         radius_m: of the ball.
         mass_kg: of the ball.
         step_s: the engine's time step.
-        overwrite: whether files of that name may be replaced.
+        overwrite: whether exports of other logs may be replaced.
 
     Returns:
         The files that were written: some engines need two.
@@ -238,19 +250,37 @@ def export(
     """
     from analysis.export.files import engine_format, export_texts, exported_for
     from analysis.export.from_record import ExportOptions
-    from analysis.result_files import replacing, writable
+    from analysis.result_files import exported_file
+    from tunenet_logs.output.owned_file import OutputPlace
 
     record = tuning.record if isinstance(tuning, Tuning) else tuning
     said = ExportOptions(speed_m_s, radius_m, mass_kg, step_s)
     engine = engine_format(to)
     texts = export_texts(engine, exported_for(engine, record, said), Path(path))
+    knows = exported_file(record)
     for place in texts:
-        if place.exists() and not overwrite:
-            raise LogError(f"{place}: exists; choose another place, or pass overwrite=True")
+        taken = OutputPlace(place, "export", knows, record.log, _ELSEWHERE, overwrite, _ASKED_BY)
+        if why := taken.why_not():
+            raise LogError(why)
     for place, text in texts.items():
-        with writable(place, "choose another place"), replacing(place) as unfinished:
+        with _written(place, "export", knows, record.log, overwrite=overwrite) as unfinished:
             unfinished.write_text(text, "utf-8")
     return tuple(texts)
+
+
+@contextmanager
+def _written(path: Path, what: str, knows: Knows, of: str, *, overwrite: bool) -> Generator[Path]:
+    """Write a file, whole or not at all; see `OutputPlace`.
+
+    Raises:
+        LogError: something else is there, or it cannot be written.
+    """
+    from analysis.result_files import writable
+    from tunenet_logs.output.owned_file import OutputPlace
+
+    place = OutputPlace(path, what, knows, of, _ELSEWHERE, overwrite, _ASKED_BY)
+    with writable(path, _ELSEWHERE), place.replacing() as unfinished:
+        yield unfinished
 
 
 def _log_of(record: Record) -> tuple[Path, str]:

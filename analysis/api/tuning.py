@@ -98,9 +98,9 @@ def _here(source: AnyPath) -> Generator[Path]:
     if not is_remote(str(source)):
         yield Path(source)
         return
-    from analysis.batch.remote_logs import fetched
+    from analysis.batch.remote_logs import fetched, log_address
 
-    with fetched(str(source)) as path:
+    with fetched(log_address(str(source))) as path:
         yield path
 
 

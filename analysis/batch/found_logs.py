@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from tunenet_logs.addresses import Address, without_secrets
 from tunenet_logs.errors import UsageError
 from tunenet_logs.formats.log_names import is_log_folder, may_be_log
 from tunenet_logs.regular_file import real_path
@@ -28,7 +29,7 @@ class FoundLog:
         below: the folder below that of the results in which its own go.
     """
 
-    log: Path | str
+    log: Path | Address
     below: Path = Path()
 
 
@@ -47,9 +48,9 @@ class FoundLogs:
     are_many: bool
 
 
-def is_remote(log: Path | str) -> bool:
+def is_remote(log: Path | Address | str) -> bool:
     """Whether a log is read over the network."""
-    return "://" in str(log)
+    return isinstance(log, Address) or "://" in str(log)
 
 
 def find_logs(named: Sequence[Path | str]) -> FoundLogs:
@@ -59,16 +60,22 @@ def find_logs(named: Sequence[Path | str]) -> FoundLogs:
     so that reading says why it is none. No link to a folder is followed.
 
     Raises:
-        UsageError: a pattern fits nothing, there are too many, or an address cannot be asked.
+        UsageError: a pattern fits nothing, there are too many, an address cannot be asked, or
+            one is named twice with different logins or signatures.
     """
-    found: dict[Path | str, FoundLog] = {}
+    found: dict[Path | Address, FoundLog] = {}
     left_out, are_many = 0, len(named) > 1
     places = list(_places(named))
     are_many = are_many or len(places) > 1
     folders = sum(isinstance(place, Path) and _is_folder(place) for place in places)
     for place in places:
         if not isinstance(place, Path):
-            found[place] = FoundLog(place)
+            known = found.setdefault(place, FoundLog(place)).log
+            if isinstance(known, Address) and known.full_url != place.full_url:
+                raise UsageError(
+                    f"{place}: is named twice, with other logins or signatures; name it once, or "
+                    "tune what are two logs one at a time, into folders of their own (-o)"
+                )
             continue
         inside = _Walk(place) if _is_folder(place) and not is_log_folder(place) else None
         if inside is None or not inside.logs:
@@ -84,7 +91,7 @@ def find_logs(named: Sequence[Path | str]) -> FoundLogs:
     return FoundLogs(tuple(found.values()), left_out, are_many)
 
 
-def _places(named: Iterable[Path | str]) -> Iterator[Path | str]:
+def _places(named: Iterable[Path | str]) -> Iterator[Path | Address]:
     """Paths and addresses of single logs, with patterns filled in."""
     for one in named:
         if is_remote(one):
@@ -93,6 +100,10 @@ def _places(named: Iterable[Path | str]) -> Iterator[Path | str]:
             yield from remote_logs(str(one), MOST_LOGS)
             continue
         path = Path(one)
+        if without_secrets(str(one)) != str(one) and not os.path.lexists(path):
+            raise UsageError(
+                f"{one}: no such file, and no address; begin one with https:// or s3://"
+            )
         if os.path.lexists(path) or not glob.has_magic(str(path)):
             yield path
             continue

@@ -9,35 +9,59 @@ from __future__ import annotations
 import fcntl
 import json
 import os
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+import stat
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO, get_args
 
 from analysis.batch.ledger_row import Cell, LedgerRow
 from analysis.batch.result_names import OF_BATCH
-from analysis.result_files import replacing, writable
+from analysis.checks import Verdict
+from analysis.result_files import recording, writable
 from tunenet_logs.errors import LogError, UsageError
-from tunenet_logs.regular_file import open_regular
+from tunenet_logs.formats.exports.arrays.parquet_columns import parquet_rows
+from tunenet_logs.output.new_file import write_new
+from tunenet_logs.output.owned_file import OutputPlace, begins_with
+from tunenet_logs.small_files import parse_json
+from tunenet_logs.terminal import short_name
 
 if TYPE_CHECKING:
     import pandas as pd
 
-_TEXTS = ("log", "verdict", "reason", "error", "task", "method", "ball", "topic", "sha256")
-_TEXTS += ("results", "tuned", "version", "engine", "options")
-_KNOWN_BY = ("log", "verdict")
-"""Columns of text without which a table is no ledger, of whatever version."""
-
+TEXTS = ("log", "verdict", "reason", "error", "task", "method", "ball", "topic", "sha256")
+TEXTS += ("results", "tuned", "version", "engine", "options")
 _WHOLE = ("rollouts", "bytes", "modified_ns")
-"""Columns that every ledger has; all others are numbers."""
+COLUMNS = (*TEXTS, *_WHOLE)
+"""Columns that every ledger has: texts and whole numbers. All others are numbers."""
 
 _GO_ON = "free some space, then go on with --resume"
 """What to do where a disk is full."""
 
+_ELSEWHERE = "choose another folder with -o"
+_MOVE = f"move it away, or {_ELSEWHERE}"
+
 _MOST_LINE = 100_000
 """Bytes of a line of the journal."""
 
+_MOST_JOURNAL_BYTES = 50_000_000
+"""Of a journal that is read; while it grows, it becomes part of the table in time."""
+
+_MOST_LINES = 60_000
+"""Of a journal that is read: a row of ours has hundreds of bytes."""
+
 _MOST_COLUMNS = 2000
+_MOST_CELLS, _USUAL_COLUMNS = 5_000_000, 40
+"""Of a ledger that is read: 125,000 logs, and fewer where it has more columns."""
+
+_HEAD = b'{"journal": "tunenet-tune"}\n'
+_ROW = b'{"log": '
+"""How a journal begins, and each of its lines."""
+
+_PARQUET_MARK = {b"tunenet-logs": b"ledger"}
+_IN_PARQUET = b"tunenet-logs\x18\x06ledger"
+_FOOTER_BYTES = 2**20
+"""What a table says of itself, how that stands in a file, and in how many of its last bytes."""
 
 
 class Ledger:
@@ -99,19 +123,50 @@ def _journal_file(folder: Path) -> Path:
     return folder / f"{OF_BATCH}.jsonl"
 
 
+def overview_file(folder: Path) -> Path:
+    """The recording that shows a whole ledger."""
+    return folder / f"{OF_BATCH}.rrd"
+
+
+def overview_place(folder: Path) -> OutputPlace:
+    """Where that is written, over an earlier one."""
+    knows = recording("overview", "")
+    return OutputPlace(overview_file(folder), "overview", knows, elsewhere=_ELSEWHERE)
+
+
+def _table_place(folder: Path) -> OutputPlace:
+    def knows(file: BinaryIO) -> Sequence[str] | None:
+        if file.read(4) != b"PAR1":
+            return None
+        file.seek(max(0, os.fstat(file.fileno()).st_size - _FOOTER_BYTES))
+        return () if _IN_PARQUET in file.read(_FOOTER_BYTES) else None
+
+    return OutputPlace(ledger_file(folder), "ledger", knows, elsewhere=_ELSEWHERE)
+
+
 class Journal:
     """The ledger of a folder while logs are tuned into it."""
 
     def __init__(self, folder: Path, file: BinaryIO) -> None:
         self.folder = folder
         self.ledger = Ledger()
-        table = ledger_file(folder)
-        if table.exists():
-            for row in _table_rows(table):
-                self.ledger.put(row)
+        self._table = _table_place(folder)
+        for place in (self._table, overview_place(folder)):
+            if why := place.why_not():
+                raise LogError(why)
         self._file = file
-        for row in _journal_rows(file):
+        path = _journal_file(folder)
+        rows = _journal_rows(path, file)  # all of it is looked at before a byte is changed
+        if self._table.path.exists():
+            self._put(self._table.path, _table_rows(self._table.path))
+        self._put(path, rows)
+
+    def _put(self, path: Path, rows: Iterable[LedgerRow]) -> None:
+        for row in rows:
             self.ledger.put(row)
+            columns = max(_USUAL_COLUMNS, len(self.ledger.columns))
+            if len(self.ledger) * columns > _MOST_CELLS:
+                raise LogError(f"{path}: has more than any ledger; {_MOVE}")
 
     def append(self, row: LedgerRow) -> None:
         """Enter the row of a log that has just ended; it outlives this process.
@@ -124,6 +179,8 @@ class Journal:
             self._file.write(line + b"\n")
             self._file.flush()
         self.ledger.put(row)
+        if os.fstat(self._file.fileno()).st_size > _MOST_JOURNAL_BYTES // 2:
+            self.compact()
 
     def compact(self) -> Path:
         """Write all rows as one Parquet table, and empty the journal.
@@ -131,10 +188,10 @@ class Journal:
         Raises:
             LogError: it cannot be written; the journal keeps all.
         """
-        table = ledger_file(self.folder)
-        with writable(table, _GO_ON), replacing(table) as unfinished:
+        table = self._table.path
+        with writable(table, _GO_ON), self._table.replacing() as unfinished:
             write_parquet(self.ledger, unfinished)
-        self._file.truncate(0)
+        self._file.truncate(len(_HEAD))
         return table
 
 
@@ -144,31 +201,40 @@ def journal(folder: Path) -> Iterator[Journal]:
 
     Raises:
         UsageError: another process tunes into the folder.
-        LogError: the folder cannot be written, or its ledger is damaged.
+        LogError: the folder cannot be written, or what is in its ledger's place is none of ours.
     """
     path = _journal_file(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         file = _locked(path)
     except OSError as error:
-        raise LogError(
-            f"{error.filename or path}: cannot be written ({error.strerror}); choose another "
-            "folder with -o"
-        ) from error
+        place, why = error.filename or path, error.strerror
+        raise LogError(f"{place}: cannot be written ({why}); {_ELSEWHERE}") from error
     with file:
-        kept = Journal(folder, file)
+        kept = None
         try:
+            kept = Journal(folder, file)
             yield kept
         finally:
-            if len(kept.ledger):
+            if kept is not None and len(kept.ledger):
                 kept.compact()
-            path.unlink(missing_ok=True)
+            if _is_at(path, file) and (kept is not None or _is_new(file)):
+                path.unlink()
 
 
 def _locked(path: Path) -> BinaryIO:
-    """The journal's file, opened for this process alone."""
+    """The journal's file, opened for this process alone.
+
+    Raises:
+        LogError: what is there is no file of its own.
+        UsageError: another process has it.
+        OSError: it cannot be opened.
+    """
     while True:
-        file = path.open("a+b")
+        knows = begins_with(_HEAD)
+        if why := OutputPlace(path, "journal", knows, elsewhere=_ELSEWHERE).why_not():
+            raise LogError(why)
+        file = _opened(path)
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
@@ -177,32 +243,88 @@ def _locked(path: Path) -> BinaryIO:
                 f"{path.parent}: another tunenet-tune writes its ledger; wait for it, or choose "
                 "another folder with -o"
             ) from error
-        if path.exists() and os.fstat(file.fileno()).st_ino == path.stat().st_ino:
+        state = os.fstat(file.fileno())
+        if state.st_nlink > 1:
+            file.close()
+            raise LogError(f"{path}: has another name too (a hard link); {_MOVE}")
+        if stat.S_ISREG(state.st_mode) and _is_at(path, file):
             return file
         file.close()  # the process that held it has just removed it
 
 
-def _journal_rows(file: BinaryIO) -> Iterator[dict[str, Any]]:
-    """The journal's whole lines; what a kill has cut off is taken away."""
+def _opened(path: Path) -> BinaryIO:
+    """The file that is there, or a new one that holds a journal's head before it has the name."""
+    flags = os.O_RDWR | os.O_APPEND | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    while True:
+        with suppress(FileNotFoundError):
+            return os.fdopen(os.open(path, flags), "a+b")
+        with suppress(FileExistsError):
+            write_new(path, _HEAD)
+
+
+def _is_at(path: Path, file: BinaryIO) -> bool:
+    try:
+        return os.path.samestat(path.lstat(), os.fstat(file.fileno()))
+    except OSError:
+        return False
+
+
+def _is_new(file: BinaryIO) -> bool:
     file.seek(0)
-    whole = 0
+    return file.read(len(_HEAD) + 1) == _HEAD
+
+
+def _journal_rows(path: Path, file: BinaryIO) -> list[LedgerRow]:
+    """The journal's whole lines; what a kill has cut off is taken away.
+
+    Raises:
+        LogError: it holds what no journal of ours does; it stays as it is.
+    """
+    if os.fstat(file.fileno()).st_size > _MOST_JOURNAL_BYTES:
+        size = _MOST_JOURNAL_BYTES // 1_000_000
+        raise LogError(f"{path}: is larger than any journal ({size} MB); {_MOVE}")
+    file.seek(0)
+    rows: list[LedgerRow] = []
+    whole = number = 0
     while line := file.readline(_MOST_LINE):
+        number += 1
+        if number > _MOST_LINES:
+            raise LogError(f"{path}: has over {_MOST_LINES} lines; {_MOVE}")
         if not line.endswith(b"\n"):
+            is_torn = number > 1 and len(line) < _MOST_LINE and line[: len(_ROW)] in _ROW
+            if not is_torn:
+                raise _no_row(path, number, "does not end")
             break
         whole = file.tell()
-        try:
-            row = json.loads(line)
-        except ValueError:
-            continue
-        if isinstance(row, dict) and isinstance(row.get("log"), str) and _are_cells(row):
-            yield row
+        if number > 1:
+            try:
+                rows.append(_row(parse_json(line)))
+            except ValueError as error:
+                raise _no_row(path, number, short_name(error)) from error
     file.seek(0, os.SEEK_END)
     if file.tell() > whole:
         file.truncate(whole)
+    return rows
 
 
-def _are_cells(row: Mapping[Any, Any]) -> bool:
-    return all(value is None or isinstance(value, str | int | float) for value in row.values())
+def _no_row(path: Path, number: int, why: str) -> LogError:
+    return LogError(f"{path}: line {number} is none of a journal ({why}); {_MOVE}")
+
+
+def _row(given: Any) -> LedgerRow:
+    """A row of a ledger.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if not isinstance(given, dict) or not isinstance(given.get("log"), str):
+        raise ValueError("it names no log")
+    if given.get("verdict") not in get_args(Verdict):
+        raise ValueError(f"its verdict is {short_name(given.get('verdict'))}")
+    for name, value in given.items():
+        if not (value is None or isinstance(value, str | int | float)):
+            raise ValueError(f"{short_name(name)} is neither text nor number")
+    return given
 
 
 def write_parquet(ledger: Ledger, path: Path) -> None:
@@ -211,10 +333,10 @@ def write_parquet(ledger: Ledger, path: Path) -> None:
     from pyarrow import parquet
 
     arrays: dict[str, Any] = {}
-    for name in dict.fromkeys((*_TEXTS[:1], *ledger.columns, *_TEXTS, *_WHOLE)):
+    for name in dict.fromkeys((*COLUMNS[:1], *ledger.columns, *COLUMNS)):
         cells = ledger.columns.get(name, [None] * len(ledger))
         kind: Any = pa.float64()
-        if name in _TEXTS:
+        if name in TEXTS:
             kind, cells = pa.string(), [None if one is None else str(one) for one in cells]
         elif name in _WHOLE:
             kind, cells = pa.int64(), [one if isinstance(one, int) else None for one in cells]
@@ -222,21 +344,19 @@ def write_parquet(ledger: Ledger, path: Path) -> None:
             numbers = (one if isinstance(one, int | float) else None for one in cells)
             cells = [None if one is None else float(one) for one in numbers]
         arrays[name] = pa.array(cells, kind)
-    parquet.write_table(pa.table(arrays), path)
+    parquet.write_table(pa.table(arrays).replace_schema_metadata(_PARQUET_MARK), path)
 
 
-def _table_rows(path: Path) -> Iterator[dict[str, Any]]:
-    import pyarrow as pa
-    from pyarrow import parquet
+def _table_rows(path: Path) -> Iterator[LedgerRow]:
+    """The rows of a table; it is a stranger's until each was looked at.
 
+    Raises:
+        LogError: it is damaged, too large, or no ledger.
+    """
     try:
-        with open_regular(path) as file, parquet.ParquetFile(file) as table:
-            kinds = dict(zip(table.schema_arrow.names, table.schema_arrow.types, strict=True))
-            if any(kinds.get(name) not in (pa.string(), pa.large_string()) for name in _KNOWN_BY):
-                raise LogError(f"{path}: is no ledger of tunenet-tune; choose another folder (-o)")
-            for batch in table.iter_batches(1000):
-                yield from (row for row in batch.to_pylist() if isinstance(row["log"], str))
-    except (OSError, pa.ArrowException) as error:
-        raise LogError(
-            f"{path}: cannot be read ({error}); move it away, or choose another folder with -o"
-        ) from error
+        for rows in parquet_rows(path, _MOST_CELLS):
+            yield from map(_row, rows)
+    except ValueError as error:
+        raise LogError(f"{path}: is no ledger ({error}); {_MOVE}") from error
+    except LogError as error:
+        raise LogError(error.what, _MOVE) from error

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from analysis.record import Estimate, Record
+from tunenet_logs.addresses import Address
 from tunenet_logs.formats.registry import file_bytes
 from tunenet_logs.regular_file import real_path
 
@@ -40,14 +41,14 @@ class LogState:
             return cls()
 
 
-def ledger_key(log: Path | str) -> str:
-    """What the ledger knows a log by: its absolute path, or its address."""
-    text = log if isinstance(log, str) else str(real_path(log))
+def ledger_key(log: Path | Address) -> str:
+    """What the ledger knows a log by: its absolute path, or its address without secrets."""
+    text = str(log if isinstance(log, Address) else real_path(log))
     return os.fsencode(text).decode(errors="replace")
 
 
 def ledger_row(
-    log: Path | str, name: Path, record: Record, state: LogState, error: str | None
+    log: Path | Address, name: Path, record: Record, state: LogState, error: str | None
 ) -> dict[str, Cell]:
     """The line of one log.
 

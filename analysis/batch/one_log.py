@@ -2,26 +2,34 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import get_args
 
 from analysis.batch.found_logs import is_remote
 from analysis.batch.ledger_row import LedgerRow, LogState, ledger_row
 from analysis.batch.result_names import result_files
+from analysis.checks import Verdict
 from analysis.provenance import provenance_of
 from analysis.record import Record, Tuning
-from analysis.record_json import to_json
-from analysis.result_files import check_own, log_sha256, replacing
+from analysis.record_json import read_record, to_json
+from analysis.result_files import log_sha256, review_of, tuning_of
 from analysis.review.tuning_review import write_review
 from analysis.selection import Options
 from analysis.terminal_table import Row, row_of
 from analysis.tuning import tune_log
+from tunenet_logs.addresses import Address
 from tunenet_logs.commandline import print_traceback
 from tunenet_logs.errors import LogError, UsageError, WeightsError
+from tunenet_logs.output.owned_file import OutputPlace
 
 _DIED = "the process that tuned it died each time (out of memory?)"
+
+_ORDER = get_args(Verdict)
+"""The best first."""
 
 Also = Callable[[Tuning], None]
 """Writes something of a tuning, and raises LogError or OSError where it cannot."""
@@ -32,7 +40,7 @@ class Writing:
     """What is written of each log, beside its JSON.
 
     Attributes:
-        overwrite: whether results of other logs may be replaced.
+        overwrite: whether results of other logs may be replaced; what is not ours never is.
         reviewed: the verdicts whose logs get a review.
         also: writes what else is to be kept of a tuning, or says why not in a LogError or OSError.
     """
@@ -46,7 +54,7 @@ class Writing:
 class Work:
     """One log, and where its results go, without the suffix."""
 
-    log: Path | str
+    log: Path | Address
     name: Path
 
 
@@ -60,6 +68,7 @@ class Result:
         review: the recording to open; None if there is nothing to show.
         trouble: why results could not be written, one line; None if they were.
         report: the JSON that was written; None if none was.
+        was: what a better verdict that it replaced was, one line; None where it did not.
     """
 
     row: Row
@@ -67,6 +76,7 @@ class Result:
     review: Path | None = None
     trouble: str | None = None
     report: Path | None = None
+    was: str | None = None
 
 
 def lost(work: Work, options: Options) -> Result:
@@ -89,22 +99,24 @@ def tuned_and_written(work: Work, options: Options, writing: Writing) -> Result:
         with fetched(work.log) as path:
             return _of_file(work, path, state, options, writing)
     except LogError as error:
-        return _untuned(work, options, str(error), LogState(), error=str(error))
+        reason = str(error).removeprefix(f"{work.log}: ")
+        return _untuned(work, options, reason, LogState(), error=str(error))
 
 
 def _of_file(work: Work, log: Path, state: LogState, options: Options, writing: Writing) -> Result:
     """The same for a log on this machine, be it a copy."""
-    sha256 = ""
-    files = result_files(work.name)
-    try:
-        if any(one.exists() for one in files):
-            with suppress(OSError):  # reading and writing say why in our own words
-                sha256 = log_sha256(log)
-                if not writing.overwrite:
-                    check_own(*files, log, sha256)
-    except LogError as error:
-        reason = "not tuned: its results would replace others"
-        return _untuned(work, options, reason, state, error=str(error))
+    sha256, before = "", None
+    report_file, review_file = result_files(work.name)
+    if os.path.lexists(report_file) or os.path.lexists(review_file):
+        with suppress(OSError):  # reading and writing say why in our own words
+            sha256 = log_sha256(log)
+    if sha256:
+        places = _places(work, log, sha256, writing)
+        wanted = places if writing.reviewed else places[:1]
+        if why := next(filter(None, (place.why_not() for place in wanted)), None):
+            reason = "not tuned: its results would replace others"
+            return _untuned(work, options, reason, state, error=why)
+        before = _before(report_file, sha256)
     tuning = _tuned(log, options)
     is_log = log.is_file() or tuning.episode is not None  # a folder may be one
     if is_log and not sha256:
@@ -114,10 +126,13 @@ def _of_file(work: Work, log: Path, state: LogState, options: Options, writing: 
     record = tuning.record
     review, trouble, report = None, None, None
     try:
-        if is_log and (sha256 or not files[0].exists()):
-            review = _write(work.name, tuning, record, writing)
-            report = files[0]
+        if is_log and (sha256 or not os.path.lexists(report_file)):
+            places = _places(work, log, sha256, writing)
+            review = _write(places, tuning, record, writing)
+            report = report_file
             trouble = writing.also and _trouble(writing.also, tuning)
+    except LogError as error:
+        trouble = str(error)
     except (OSError, UnicodeError) as error:  # the latter for a name that Rerun cannot take
         place, why = work.name.parent, "its name is not UTF-8"
         if isinstance(error, OSError):
@@ -127,7 +142,7 @@ def _of_file(work: Work, log: Path, state: LogState, options: Options, writing: 
     row = row_of(tuning, small)
     row = replace(row, log=work.log) if is_remote(work.log) else row
     entry = ledger_row(work.log, work.name, small, state, error=trouble)
-    return Result(row, entry, review, trouble, report)
+    return Result(row, entry, review, trouble, report, report and _was(before, record, report))
 
 
 def _tuned(log: Path, options: Options) -> Tuning:
@@ -142,30 +157,64 @@ def _tuned(log: Path, options: Options) -> Tuning:
         return Tuning(log, options.task, options.preset, "rejected", reason)
 
 
-def _write(name: Path, tuning: Tuning, record: Record, writing: Writing) -> Path | None:
+def _places(
+    work: Work, log: Path, sha256: str, writing: Writing
+) -> tuple[OutputPlace, OutputPlace]:
+    """Of the JSON and the review."""
+    report, review = result_files(work.name)
+    of = log.name if is_remote(work.log) else str(log)
+    elsewhere, overwrite = "choose another folder with -o", writing.overwrite
+    return (
+        OutputPlace(report, "tuning", tuning_of(log, sha256), of, elsewhere, overwrite),
+        OutputPlace(review, "review", review_of(sha256), of, elsewhere, overwrite),
+    )
+
+
+def _write(
+    places: tuple[OutputPlace, OutputPlace], tuning: Tuning, record: Record, writing: Writing
+) -> Path | None:
     """Write the results of a log; the review, if it gets one.
 
     Raises:
+        LogError: something else is in their place by now.
         OSError, UnicodeError: they cannot be written.
     """
-    name.parent.mkdir(parents=True, exist_ok=True)
-    report, recording = result_files(name)
+    report, recording = places
+    report.path.parent.mkdir(parents=True, exist_ok=True)
     review, episode = None, tuning.episode
     if record.verdict not in writing.reviewed:
-        recording.unlink(missing_ok=True)  # of the tuning that this one replaces
+        recording.remove()  # that of the tuning that this one replaces
     elif episode is not None and (
         episode.signals or episode.picture_topics or episode.sound_topics
     ):
-        review = recording
-        with replacing(review) as unfinished:
+        review = recording.path
+        with recording.replacing() as unfinished:
             write_review(tuning, record, unfinished)
-    with replacing(report) as unfinished:
+    with report.replacing() as unfinished:
         unfinished.write_text(to_json(record), "utf-8", errors="backslashreplace")
     return review
 
 
+def _before(report: Path, sha256: str) -> Record | None:
+    """The tuning that is there, if it is of the same log."""
+    with suppress(LogError):
+        record = read_record(report)
+        if record.provenance is not None and record.provenance.log_sha256 == sha256:
+            return record
+    return None
+
+
+def _was(before: Record | None, record: Record, report: Path) -> str | None:
+    """What is to be said where a better verdict is replaced: "was ok, 0.7400"; else None."""
+    if before is None or _ORDER.index(before.verdict) >= _ORDER.index(record.verdict):
+        return None
+    values = [part for known in before.estimates for part in known.components][:1]
+    said = "".join(f", {part.value:.4f}" for part in values)
+    return f"{report}: was {before.verdict}{said}; is {record.verdict} now"
+
+
 def _untuned(work: Work, options: Options, reason: str, state: LogState, error: str) -> Result:
-    log = Path(work.log)
+    log = work.log if isinstance(work.log, Path) else Path(work.log.name)
     tuning = Tuning(log, options.task, options.preset, "rejected", reason)
     tuning = replace(tuning, provenance=provenance_of(tuning, "", options))
     record = tuning.record

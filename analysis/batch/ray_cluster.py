@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 from analysis.batch.one_log import Result, Work
 from analysis.cluster import Cluster, on_cluster
@@ -28,9 +29,9 @@ def on_ray(
         UsageError: Ray is not installed, nobody answers at the address, or the options fit no log.
     """
     absolute = [
-        replace(item, name=real_path(item.name))
-        if isinstance(item.log, str)
-        else Work(real_path(item.log), real_path(item.name))
+        Work(real_path(item.log), real_path(item.name))
+        if isinstance(item.log, Path)
+        else replace(item, name=real_path(item.name))
         for item in items
     ]
     return on_cluster(cluster, work, absolute, lost)

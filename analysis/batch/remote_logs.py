@@ -5,24 +5,38 @@
 
 from __future__ import annotations
 
+import asyncio
 import shutil
+import sys
 import tempfile
-from collections.abc import Iterator
+import time
+from base64 import b64encode
+from collections.abc import Callable, Coroutine, Iterator
+from concurrent.futures import wait
 from contextlib import contextmanager
+from datetime import datetime
+from email.utils import parsedate_to_datetime
 from itertools import islice
 from pathlib import Path, PurePosixPath
 from typing import Any
+from urllib.parse import urlsplit
 
 from analysis.batch.ledger_row import LogState
+from tunenet_logs.addresses import Address, scheme_of
 from tunenet_logs.errors import LogError, UsageError
 from tunenet_logs.formats.log_names import is_log_name
+from tunenet_logs.passwords import KnownLogin, netrc_login
 from tunenet_logs.terminal import one_line, short_name
 
 _SCHEMES = ("s3", "gs", "gcs", "az", "abfs", "http", "https")
 """Of addresses. Those that name files of this machine, or another within them, are none."""
 
-_CONNECT_S, _SILENT_S = 15, 30
-"""For which a server may say nothing, when it is called and later."""
+_CONNECT_S, _SILENT_S = 8, 8  # for which a server may say nothing, when it is called and later
+_LEAST_BYTES = 10_000  # that come in any `_SILENT_S`: slower than a modem, it would never end
+_LISTING_S = 60  # for which a folder may be listed
+_UNTOLD_BYTES = 500_000_000  # of a log whose size its server does not tell, or that unpacks
+
+_LOOK_S = 0.5
 
 _ATTEMPTS = 2
 """Of a request to a server that is silent; s3fs has more of its own."""
@@ -33,46 +47,48 @@ _KEPT_FREE = 0.1
 _MAGIC = frozenset("*?[")
 
 
-def remote_logs(address: str, most: int) -> Iterator[str]:
+def remote_logs(named: str, most: int) -> Iterator[Address]:
     """The addresses of logs that one names: a log's own, a folder's (`.../`), a pattern's.
 
     Args:
-        address: with a scheme.
+        named: with a scheme.
         most: so many are looked at.
 
     Raises:
         UsageError: it names nothing, nobody answers, or what asks is not installed.
     """
-    scheme = address.partition("://")[0]
-    is_pattern = bool(_MAGIC & set(address)) and scheme not in ("http", "https")
-    if not is_pattern and not address.endswith("/"):
-        _check(address)
+    address = log_address(named)
+    is_pattern = bool(_MAGIC & set(address.url)) and not address.url.startswith("http")
+    if not is_pattern and not address.url.endswith("/"):
         yield address
         return
     files, path = _opened(address)
     try:
-        found = files.glob(path) if is_pattern else files.find(path)
+        found = _answer(files, files._glob(path) if is_pattern else files._find(path), _LISTING_S)
     except Exception as error:
         raise UsageError(f"{address}: {_why(error)}") from error
     names = [str(name) for name in islice(sorted(found), most + 1)]
     logs = [name for name in names if is_pattern or is_log_name(PurePosixPath(name).name)]
     if not logs:
         raise UsageError(f"{address}: no log has such an address")
-    yield from (str(files.unstrip_protocol(name)) for name in logs)
+    yield from (address.beside(str(files.unstrip_protocol(name))) for name in logs)
 
 
-def remote_state(address: str) -> LogState:
-    """Size and last change of a log; nothing where its server does not say."""
+def remote_state(address: Address) -> LogState:
+    """Size and last change of a log; -1 and 0 where its server does not say."""
     try:
         files, path = _opened(address)
-        size = int(files.info(path)["size"])
-        return LogState(size, round(files.modified(path).timestamp() * 1e9))
+        known = _answer(files, files._info(path))
+        if not address.url.startswith("http"):
+            return LogState(int(known["size"]), _ns(files.modified(path)))
+        changed = known.get("Last-Modified")
+        return LogState(int(known["size"]), _ns(parsedate_to_datetime(changed)) if changed else 0)
     except Exception:  # noqa: BLE001 (each library has its own)
         return LogState()
 
 
 @contextmanager
-def fetched(address: str) -> Iterator[Path]:
+def fetched(address: Address) -> Iterator[Path]:
     """A copy of a log on this machine, under its own name; it is gone afterwards.
 
     Raises:
@@ -83,62 +99,128 @@ def fetched(address: str) -> Iterator[Path]:
     class Bounded(Callback):
         """Ends a copy that would fill the disk, whatever its server said of its size."""
 
-        left = 0
+        told = came = 0
+        free = sys.maxsize
+
+        def set_size(self, size: int | None) -> None:
+            self.told = size or 0
 
         def relative_update(self, inc: int = 1) -> None:
-            self.left -= inc
-            if self.left < 0:
+            self.came += inc
+            if self.came > self.free:
                 raise LogError(f"{address}: is larger than the space that is free; free some")
+            if self.came > max(self.told, _UNTOLD_BYTES):
+                raise LogError(
+                    f"{address}: unpacks to over {_UNTOLD_BYTES // 1_000_000} MB, or more than its "
+                    "server told of; copy it here yourself, if you trust it"
+                )
 
     with tempfile.TemporaryDirectory(prefix="tunenet-") as folder:
-        copy = Path(folder) / (PurePosixPath(address.split("?", maxsplit=1)[0]).name or "log")
+        copy = Path(folder) / (address.name or "log")
         counted = Bounded()
-        counted.left = round((1 - _KEPT_FREE) * shutil.disk_usage(folder).free)
+        counted.free = round((1 - _KEPT_FREE) * shutil.disk_usage(folder).free)
         try:
             files, path = _opened(address)
-            files.get_file(path, str(copy), callback=counted)
+            copying = files._get_file(path, str(copy), callback=counted)
+            _answer(files, copying, came=lambda: counted.came)
         except LogError:
             raise
         except Exception as error:
+            is_unknown = getattr(error, "status", 0) == 401
+            trouble = _login(address).trouble if is_unknown else ""
             raise LogError(
-                f"{address}: cannot be read ({_why(error)})",
+                f"{address}: cannot be read ({_why(error)}{trouble and f', and {trouble}'})",
                 "check the address and your rights to it",
             ) from error
         yield copy
 
 
-def _check(address: str) -> None:
-    scheme = address.partition("://")[0]
-    if scheme not in _SCHEMES or "::" in address:
+def _answer(
+    files: Any,
+    asking: Coroutine[Any, Any, Any],
+    longest_s: float | None = None,
+    came: Callable[[], int] = lambda: 0,
+) -> Any:
+    """What a file system answers; it is asked in the thread of fsspec, and left where it is slow.
+
+    Args:
+        files: an fsspec file system, whose calls are coroutines.
+        asking: a call of it.
+        longest_s: for which no `_LEAST_BYTES` may come; by default `_SILENT_S`.
+        came: bytes that have come.
+
+    Raises:
+        TimeoutError: nothing, or next to nothing, comes for so long.
+    """
+    answer = asyncio.run_coroutine_threadsafe(asking, files.loop)
+    longest_s = longest_s or _SILENT_S
+    known, since_s = came(), time.monotonic()
+    try:
+        while not answer.done():
+            wait((answer,), _LOOK_S)  # a signal is answered at once
+            if came() - known >= _LEAST_BYTES:
+                known, since_s = came(), time.monotonic()
+            if time.monotonic() - since_s > longest_s and not answer.done():
+                raise TimeoutError(f"under {_LEAST_BYTES} bytes came in {longest_s:g} s")
+        return answer.result()
+    finally:
+        answer.cancel()
+
+
+def log_address(named: str) -> Address:
+    """Take a log's address apart.
+
+    Raises:
+        UsageError: no such addresses are read.
+    """
+    if scheme_of(named) not in _SCHEMES or "::" in named:  # a chain may name files of this machine
         raise UsageError(
-            f"{one_line(address)}: is no address that is read; write one with "
+            f"{one_line(named)}: is no address that is read; write one with "
             f"{', '.join(f'{one}://' for one in _SCHEMES)}, or a path"
         )
+    address = Address.of(named)
+    if address.password is not None and address.url.startswith(("gs", "gcs", "az", "abfs")):
+        raise UsageError(
+            f"{address}: a login in such an address is not read; its library finds your keys "
+            "(docs/scale.md)"
+        )
+    return address
 
 
-def _opened(address: str) -> tuple[Any, str]:
+def _ns(changed: datetime) -> int:
+    return round(changed.timestamp() * 1e9)
+
+
+def _opened(address: Address) -> tuple[Any, str]:
     """The file system of an address, and the path there.
 
     Raises:
-        UsageError: a library for it is not installed, or no such addresses are read.
+        UsageError: a library for it is not installed.
     """
-    _check(address)
     options: dict[str, Any] = {}
     try:
         from fsspec.core import url_to_fs
 
-        if address.startswith("s3"):
+        if address.url.startswith("s3"):
+            if address.user:
+                options |= {"key": address.user, "secret": address.password}
             options["config_kwargs"] = {
                 "connect_timeout": _CONNECT_S,
                 "read_timeout": _SILENT_S,
                 "retries": {"total_max_attempts": _ATTEMPTS},
             }
-        elif address.startswith("http"):
+        elif address.url.startswith("http"):
             from aiohttp import ClientTimeout
 
+            options["headers"] = {"Accept-Encoding": "identity"}
+            known = _login(address)
+            if known.user or known.password:  # of each request: aiohttp gives it to no other host
+                proof = b64encode(f"{known.user}:{known.password}".encode()).decode()
+                options["headers"]["Authorization"] = f"Basic {proof}"
             patience = ClientTimeout(total=None, sock_connect=_CONNECT_S, sock_read=_SILENT_S)
             options["client_kwargs"] = {"timeout": patience}
-        files, path = url_to_fs(address, **options)
+            options["encoded"] = address.url.isascii() and " " not in address.url  # as was signed
+        files, path = url_to_fs(address.url, **options)
     except ImportError as error:
         raise UsageError(
             f"{address}: {_why(error)}; logs over the network need the extra: "
@@ -147,5 +229,20 @@ def _opened(address: str) -> tuple[Any, str]:
     return files, str(path)
 
 
+def _login(address: Address) -> KnownLogin:
+    """That of the address, else of its host in `~/.netrc`."""
+    if address.password is not None:
+        return KnownLogin(address.user, address.password)
+    return netrc_login(urlsplit(address.url).hostname or "", address.user)
+
+
 def _why(error: BaseException) -> str:
-    return short_name(str(error) or type(error).__name__, 200)
+    """What went wrong; libraries quote addresses, with all that is in them."""
+    status = getattr(error, "status", None)  # of aiohttp
+    if type(error).__name__ == "TooManyRedirects":
+        return "its server sends from one address to the next"
+    if isinstance(status, int) and status:
+        return f"{status} {short_name(getattr(error, 'message', ''))}".strip()
+    if isinstance(error, FileNotFoundError):
+        return "nothing is there"
+    return short_name(one_line(error) or type(error).__name__, 200)

@@ -5,12 +5,14 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Sequence
-from pathlib import Path, PurePath
+from pathlib import Path
 
 from analysis.batch.found_logs import FoundLog, is_remote
+from tunenet_logs.addresses import Address
 from tunenet_logs.errors import LogError, UsageError
 from tunenet_logs.formats.registry import is_folder
 from tunenet_logs.output.log_place import ACTIVE_SUFFIX
+from tunenet_logs.output.owned_file import check_folders
 from tunenet_logs.regular_file import real_path
 
 OF_BATCH = "ledger"
@@ -33,7 +35,7 @@ def result_names(logs: Sequence[FoundLog], folder: Path | None) -> list[Path]:
 
     Raises:
         UsageError: two logs would write the same results, or one would replace a log.
-        LogError: the folder is none.
+        LogError: the folder is none, or one within it is a link.
     """
     if folder is None and any(is_remote(one.log) for one in logs):
         raise UsageError("results of logs that are read over the network need a place; give -o DIR")
@@ -58,6 +60,9 @@ def result_names(logs: Sequence[FoundLog], folder: Path | None) -> list[Path]:
     _check_inputs(logs, names)
     if folder is not None and folder.exists() and not folder.is_dir():
         raise LogError(f"{folder}: is not a folder; choose another with -o")
+    if folder is not None:
+        for below in {one.below for one in logs}:
+            check_folders(folder, below)
     return names
 
 
@@ -81,18 +86,18 @@ def _folder_of(one: FoundLog, folder: Path | None) -> Path:
     return _plain(one.log).parent
 
 
-def _plain(log: Path | str) -> Path:
+def _plain(log: Path | Address) -> Path:
     """A log's path, with a name where it was given by one that names none (`.`)."""
-    if isinstance(log, str):
-        return Path(PurePath(log).name)
+    if isinstance(log, Address):
+        return Path(log.name)
     return real_path(log) if log.name in ("", "..") else log
 
 
-def _name(log: Path | str) -> str:
+def _name(log: Path | Address) -> str:
     return os.fsencode(_plain(log).name).decode(errors="replace") or "log"
 
 
-def _stem(log: Path | str) -> str:
+def _stem(log: Path | Address) -> str:
     """A file's name without its suffix; a folder's is its own."""
     name = _name(log)
     if isinstance(log, Path) and is_folder(_plain(log)):
@@ -100,17 +105,17 @@ def _stem(log: Path | str) -> str:
     return name.removesuffix(ACTIVE_SUFFIX).rsplit(".", 1)[0] or name
 
 
-def _with_parent(log: Path | str) -> str:
+def _with_parent(log: Path | Address) -> str:
     return f"{_parent(log)}_{_stem(log)}"
 
 
-def _with_suffix(log: Path | str) -> str:
+def _with_suffix(log: Path | Address) -> str:
     return _name(log)
 
 
-def _with_both(log: Path | str) -> str:
+def _with_both(log: Path | Address) -> str:
     return f"{_parent(log)}_{_name(log)}"
 
 
-def _parent(log: Path | str) -> str:
-    return PurePath(log).parent.name if isinstance(log, str) else real_path(log).parent.name
+def _parent(log: Path | Address) -> str:
+    return log.parent_name if isinstance(log, Address) else real_path(log).parent.name

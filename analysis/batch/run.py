@@ -6,7 +6,7 @@ import re
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -20,6 +20,8 @@ from analysis.batch.result_names import result_files, result_names
 from analysis.processes import streamed
 from analysis.result_files import log_sha256
 from analysis.selection import Options
+from tunenet_logs.addresses import Address
+from tunenet_logs.errors import LogError
 from tunenet_logs.terminal import Progress, one_line
 
 MOST_SHOWN = 40
@@ -137,7 +139,8 @@ def run_batch(
                 batch.reasons.update(_kinds(result.row.record.reason))
                 batch.failed += verdict == "rejected" or result.trouble is not None
                 if len(works) <= MOST_SHOWN or (
-                    len(shown) < MOST_SHOWN and (verdict == "rejected" or result.trouble)
+                    len(shown) < MOST_SHOWN
+                    and (verdict == "rejected" or result.trouble or result.was)
                 ):
                     shown[at] = result
                 if len(works) > 1:
@@ -173,12 +176,10 @@ def _to_do(works: Iterable[Work], kept: Journal, digest: str, batch: BatchResult
 def _is_same(work: Work, size: object, modified_ns: object, sha256: object) -> bool:
     """Whether a log is as it was, and its results are there."""
     if not isinstance(work.log, Path):
-        from analysis.batch.remote_logs import remote_state
-
-        state = remote_state(work.log)
-        return state.size >= 0 and (state.size, state.modified_ns) == (size, modified_ns)
+        return _is_same_afar(work.log, size, modified_ns, sha256)
     state = LogState.of(work.log)
-    if state.size < 0 or not sha256 or not result_files(work.name)[0].is_file():
+    report = result_files(work.name)[0]
+    if state.size < 0 or not sha256 or report.is_symlink() or not report.is_file():
         return state.size < 0 and size == -1  # it could not be read, and cannot now
     if state.size != size:
         return False
@@ -188,6 +189,18 @@ def _is_same(work: Work, size: object, modified_ns: object, sha256: object) -> b
         return log_sha256(work.log) == sha256
     except OSError:
         return False
+
+
+def _is_same_afar(log: Address, size: object, modified_ns: object, sha256: object) -> bool:
+    """The same for a log that is read over the network; its results are as the ledger says."""
+    from analysis.batch.remote_logs import fetched, remote_state
+
+    state = remote_state(log)
+    if state.size >= 0 and (state.size != size or state.modified_ns):
+        return (state.size, state.modified_ns) == (size, modified_ns)
+    with suppress(LogError, OSError), fetched(log) as copy:  # nobody says when it changed
+        return log_sha256(copy) == sha256
+    return False
 
 
 def _kinds(reason: object) -> list[str]:

@@ -5,17 +5,16 @@ from __future__ import annotations
 import platform
 import sys
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 
-from analysis.batch.ledger import Ledger
+from analysis.batch.ledger import Ledger, overview_file, overview_place
 from analysis.batch.one_log import Result
-from analysis.batch.result_names import OF_BATCH, result_files
 from analysis.batch.run import MOST_SHOWN, BatchResult, Order
 from analysis.batch.text_table import write_csv
 from analysis.record import Record
-from analysis.result_files import replacing, writable
+from analysis.result_files import writable
 from analysis.terminal_table import table
 from tunenet_logs import __version__
+from tunenet_logs.output.owned_file import OutputPlace
 from tunenet_logs.terminal import one_line, short_name, terminal_columns
 
 _OF_SIMULATOR = ("engine", "preset", "step_hz")
@@ -26,26 +25,21 @@ _MOST_REASONS, _REASON_CHARACTERS = 5, 100
 """Of logs that are not ok, the most frequent ones, cut."""
 
 
-def closing(order: Order, csv: Path | None, ledger: Ledger) -> None:
+def closing(order: Order, csv: OutputPlace | None, ledger: Ledger) -> None:
     """What is made of a whole ledger: its overview, and a text table where one is wanted.
 
     Raises:
         LogError: one cannot be written.
     """
     if csv is not None:
-        with writable(csv, _ELSEWHERE):
+        with writable(csv.path, _ELSEWHERE):
             write_csv(ledger, csv)
     if order.folder is not None:
         from analysis.review.overview import write_overview
 
-        overview = overview_file(order.folder)
-        with writable(overview, _ELSEWHERE), replacing(overview) as unfinished:
+        place = overview_place(order.folder)
+        with writable(place.path, _ELSEWHERE), place.replacing() as unfinished:
             write_overview(ledger.columns, unfinished)
-
-
-def overview_file(folder: Path) -> Path:
-    """The recording that shows a whole ledger."""
-    return result_files(folder / OF_BATCH)[1]
 
 
 def print_table(results: Sequence[Result]) -> None:
@@ -62,6 +56,8 @@ def print_remarks(results: Sequence[Result]) -> None:
         remarks = record.warnings if result.row.is_read else (record.reason, *record.warnings)
         for remark in () if result.trouble and not result.row.is_read else remarks:
             print(one_line(f"tunenet-tune: {result.row.log}: {remark}"), file=sys.stderr)
+        if result.was:
+            print(one_line(f"tunenet-tune: {result.was}"), file=sys.stderr)
         if result.trouble:
             print(one_line(f"tunenet-tune: {result.trouble}"), file=sys.stderr)
 

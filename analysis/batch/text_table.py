@@ -2,47 +2,62 @@
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from analysis.batch.batch_file import check_batch_file
 from analysis.batch.found_logs import FoundLog
-from analysis.batch.ledger import Ledger
-from analysis.result_files import replacing
+from analysis.batch.ledger import COLUMNS, Ledger
+from analysis.batch.ledger_row import ledger_key
+from analysis.result_files import table
+from tunenet_logs.csv_lines import csv_line, text_of
 from tunenet_logs.errors import UsageError
-
-_BEGINS = b"log,"
-"""A text table of a ledger: its first column."""
+from tunenet_logs.output.owned_file import OutputPlace
 
 _NOT_ITS = (".json", ".rrd", ".parquet", ".jsonl")
 """Suffixes of what a batch writes beside it."""
 
 
-def check_csv(path: Path, folder: Path, logs: Iterable[FoundLog] = (), *, overwrite: bool) -> None:
+def csv_place(path: Path, folder: Path, *, overwrite: bool) -> OutputPlace:
+    """Where the table of a folder's ledger goes: over one of the same folder."""
+    own = ledger_key(folder)
+
+    def lost(row: Mapping[str, str]) -> str | None:
+        results = Path(text_of(row["results"]))
+        return None if results.is_relative_to(own) else str(results.parent)
+
+    elsewhere = "give --csv another file"
+    return OutputPlace(path, "ledger", table(COLUMNS, lost), own, elsewhere, overwrite=overwrite)
+
+
+def check_csv(place: OutputPlace, folder: Path, logs: Iterable[FoundLog] = ()) -> None:
     """Find out before hours of work whether the table can be written, and over what.
 
     Args:
-        path: where it goes.
+        place: where it goes.
         folder: of the results; it need not be there yet.
         logs: of the batch, which it never replaces.
-        overwrite: whether it may replace a file that is no such table.
 
     Raises:
         UsageError: it cannot; says why.
     """
+    path = place.path
     if path.suffix.lower() in _NOT_ITS:
         raise UsageError(f"{path}: is a name of other results; give --csv a name such as all.csv")
-    check_batch_file(path, "--csv", _BEGINS, logs, folder, overwrite=overwrite)
+    check_batch_file(place, logs, folder)
 
 
-def write_csv(ledger: Ledger, path: Path) -> None:
+def write_csv(ledger: Ledger, place: OutputPlace) -> None:
     """The ledger as a table in text.
 
     Raises:
+        LogError: something else is in its place.
         OSError: it cannot be written.
     """
-    with replacing(path) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(ledger.columns)
-        writer.writerows([row[name] for name in ledger.columns] for row in ledger.rows())
+    columns = list(dict.fromkeys((*COLUMNS, *ledger.columns)))
+    with (
+        place.replacing() as unfinished,
+        unfinished.open("w", newline="", encoding="utf-8") as file,
+    ):
+        file.write(csv_line(columns))
+        file.writelines(csv_line(row.get(name) for name in columns) for row in ledger.rows())

@@ -11,7 +11,7 @@ from analysis.campaign.files import material_of, natural
 from analysis.campaign.small_film import small_film
 from analysis.campaign.tuned_drop import TunedDrop, drop_of
 from analysis.processes import Piece, parallel_map
-from tunenet_logs.errors import UsageError
+from tunenet_logs.errors import LogError
 from tunenet_logs.outcome_reading import Warn
 from tunenet_logs.regular_file import real_path
 from tunenet_logs.terminal import Progress
@@ -29,12 +29,14 @@ class Campaign:
         attempts: in their order, at least one.
         tuned_now: how many drops had no tuning beside them.
         unread: how many logs cannot be read; they are no attempts.
+        places: that were named, without links.
     """
 
     name: str
     attempts: tuple[Attempt, ...]
     tuned_now: int
     unread: int
+    places: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ def campaign_of(
         warn: called with what cannot be read or does not fit.
 
     Raises:
-        UsageError: nothing of a campaign is there.
+        LogError: nothing of a campaign is there.
     """
     material = material_of(places, warn)
     work: list[TunedDrop | Path] = [*material.drops, *material.untuned]
@@ -71,9 +73,15 @@ def campaign_of(
     attempts = attempts_of(replace(material, drops=tuple(drops), untuned=()), warn)
     if not attempts:
         named = ", ".join(map(str, places))
-        raise UsageError(f"{named}: no drop and no outcome of it can be read")
+        raise LogError(f"{named}: no drop and no outcome of it can be read", "name others")
     name = real_path(places[0]).name or "campaign"
-    return Campaign(name, attempts, sum(drop.tuning is None for drop in drops), len(unread))
+    tuned_now = sum(drop.tuning is None for drop in drops)
+    return Campaign(name, attempts, tuned_now, len(unread), places_of(places))
+
+
+def places_of(places: Sequence[Path]) -> tuple[str, ...]:
+    """What a campaign is known by: its files and folders, without links."""
+    return tuple(str(real_path(place)) for place in places)
 
 
 def _read(item: TunedDrop | Path) -> TunedDrop | _Unread | None:

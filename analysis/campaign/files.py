@@ -9,7 +9,7 @@ from itertools import islice
 from pathlib import Path
 
 from analysis.campaign.tuned_drop import TunedDrop, read_tuned_drop
-from tunenet_logs.errors import LogError, UsageError
+from tunenet_logs.errors import LogError
 from tunenet_logs.formats.registry import is_folder
 from tunenet_logs.outcome import Outcome
 from tunenet_logs.outcome_reading import Warn, holds_outcomes, numbered, read_outcomes
@@ -57,8 +57,8 @@ def material_of(places: Sequence[Path], warn: Warn) -> Material:
         warn: called with what cannot be read.
 
     Raises:
-        UsageError: there is no such place, or nothing of a campaign in it.
-        LogError: a table of outcomes is wrong.
+        LogError: there is no such place or nothing of a campaign in it, or a table of outcomes is
+            wrong.
     """
     named = frozenset(real_path(place) for place in places if place.is_file())
     outcomes: list[Outcome] = []
@@ -79,7 +79,7 @@ def material_of(places: Sequence[Path], warn: Warn) -> Material:
             warn(f"{file}: cannot be read ({error.strerror})")
     if not (outcomes or drops or logs):
         words = ", ".join(map(str, places))
-        raise UsageError(
+        raise LogError(
             f"{words}: holds no drop and no outcome; name a folder with logs that tunenet-record "
             "wrote, and the tunings beside them"
         )
@@ -137,7 +137,7 @@ def files_of(places: Iterable[Path], warn: Warn) -> Iterator[Path]:
     seen: set[Path] = set()
     for place in places:
         if not place.exists():
-            raise UsageError(f"{place}: no such file or folder")
+            raise LogError(f"{place}: no such file or folder", "check its name")
         found = _inside(place, warn) if place.is_dir() else [place]
         for file in found:
             if (full := real_path(file)) not in seen:

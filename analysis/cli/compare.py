@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +14,11 @@ from tunenet_logs.terminal import one_line
 
 if TYPE_CHECKING:
     from analysis.comparison import Comparison
+    from analysis.record import Record
+    from tunenet_logs.output.owned_file import OutputPlace
+
+_OPTIONS = {"pairs": "csv"}
+"""By which an output is asked for that has no option of its own."""
 
 _DESCRIPTION = """\
 Parameters of several tunings side by side with their 95 % intervals, and which of them
@@ -45,7 +50,7 @@ def build_parser() -> Parser:
     add("--csv", type=Path, metavar="FILE", help="write all values as a table, and all tests")
     add("--html", type=Path, metavar="FILE", help="write one self-contained page")
     add("--png", type=Path, metavar="FILE", help="write curves and intervals as a picture")
-    add("--overwrite", action="store_true", help="replace what this command wrote before")
+    add("--overwrite", action="store_true", help="replace results of other logs")
     return parser
 
 
@@ -61,64 +66,96 @@ def _compare(arguments: argparse.Namespace) -> int:
     from analysis.tuning_files import read_tunings
 
     tunings = read_tunings(arguments.places, _warn)
-    _check_outputs(arguments, [tuning.path for tuning in tunings])
+    places = _places(arguments, [tuning.record for tuning in tunings])
+    _check_outputs(places, [tuning.path for tuning in tunings])
     if arguments.html or arguments.png:
         needed("matplotlib", "report")
         needed("jinja2", "report")
     comparison = compare(
         [tuning.record for tuning in tunings], [tuning.label for tuning in tunings]
     )
-    written = _write(arguments, comparison)
+    written = _write(places, comparison)
     print(comparison_text(comparison))
     if written:
         print("\nwritten: " + ", ".join(one_line(path) for path in written))
     return 0 if comparison.groups else 1
 
 
-def _check_outputs(arguments: argparse.Namespace, inputs: Sequence[Path]) -> None:
-    from analysis.output_files import check_output
+def _places(arguments: argparse.Namespace, records: Sequence[Record]) -> dict[str, OutputPlace]:
+    """Where what is asked for goes: "csv", "pairs", "html", "png"."""
+    from analysis.comparison import COLUMNS, PAIR_COLUMNS
+    from analysis.result_files import in_words, logs_of, marked, review_name, table
+    from tunenet_logs.output.owned_file import OutputPlace
 
-    for path, option, suffix in (
-        (arguments.csv, "--csv", ".csv"),
-        (arguments.csv and _pairs_path(arguments.csv), "--csv", ".csv"),
-        (arguments.html, "--html", ".html"),
-        (arguments.png, "--png", ".png"),
-    ):
-        if path is not None:
-            check_output(path, option, (suffix,), inputs, overwrite=arguments.overwrite)
+    logs = logs_of(records)
+
+    def lost(row: Mapping[str, str]) -> str | None:
+        known_by = review_name(row["log_sha256"]) or row["log"]
+        return None if known_by in logs else row["log"]
+
+    kinds = {
+        "csv": (arguments.csv, "table of tunings", table(COLUMNS, lost)),
+        "pairs": (
+            arguments.csv and _pairs_path(arguments.csv),
+            "table of tests",
+            table(PAIR_COLUMNS, lambda _row: None),
+        ),
+        "html": (arguments.html, "comparison", marked("html", "comparison", logs)),
+        "png": (arguments.png, "figure", marked("png", "figure", logs)),
+    }
+    return {
+        name: OutputPlace(
+            path,
+            what,
+            knows,
+            in_words(logs),
+            f"give --{_OPTIONS.get(name, name)} another file",
+            overwrite=arguments.overwrite,
+        )
+        for name, (path, what, knows) in kinds.items()
+        if path is not None
+    }
+
+
+def _check_outputs(places: Mapping[str, OutputPlace], inputs: Sequence[Path]) -> None:
+    from analysis.result_files import check_place
+
+    for name, place in places.items():
+        option = _OPTIONS.get(name, name)
+        check_place(place, f"--{option}", (f".{option}",), inputs)
 
 
 def _pairs_path(path: Path) -> Path:
     return path.with_name(f"{path.stem}_pairs{path.suffix}")
 
 
-def _write(arguments: argparse.Namespace, comparison: Comparison) -> list[Path]:
-    from analysis.result_files import replacing
+def _write(places: Mapping[str, OutputPlace], comparison: Comparison) -> list[Path]:
+    from tunenet_logs.csv_lines import csv_line
 
-    written: list[Path] = []
-    if arguments.csv:
-        frames = (comparison.to_frame(), comparison.pairs_frame())
-        for path, frame in zip((arguments.csv, _pairs_path(arguments.csv)), frames, strict=True):
-            with replacing(path) as partial:
-                frame.to_csv(partial, index=False)
-            written.append(path)
-    if arguments.html:
+    for name, told in (("csv", comparison.to_frame), ("pairs", comparison.pairs_frame)):
+        if name in places:
+            frame = told()
+            lines = (csv_line(row) for row in (frame.columns, *frame.itertuples(index=False)))
+            with places[name].replacing() as partial:
+                partial.write_text("".join(lines), "utf-8")
+    if "html" in places:
         from analysis.report.page import comparison_page
 
-        with replacing(arguments.html) as partial:
+        with places["html"].replacing() as partial:
             partial.write_text(comparison_page(comparison), "utf-8")
-        written.append(arguments.html)
-    if arguments.png:
+    if "png" in places:
         from analysis.report.compared_figures import comparison_drawings
         from analysis.report.embedded import write_figure
+        from analysis.result_files import logs_of, mark
 
+        path = places["png"].path
         drawings = comparison_drawings(comparison)
         if not drawings:
-            raise UsageError(f"{arguments.png}: these tunings have nothing to draw together")
-        with replacing(arguments.png) as partial:
-            write_figure(drawings[0].figure, partial, "png")
-        written.append(arguments.png)
-    return written
+            raise UsageError(f"{path}: these tunings have nothing to draw together")
+        made = mark("figure", logs_of(comparison.records))
+        with places["png"].replacing() as partial:
+            write_figure(drawings[0].figure, partial, "png", made)
+    return [place.path for place in places.values()]
 
 
 def _warn(text: str) -> None:

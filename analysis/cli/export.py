@@ -17,6 +17,7 @@ from tunenet_logs.terminal import one_line
 if TYPE_CHECKING:
     from analysis.export.exported import ExportedBall, ExportedPayload
     from analysis.export.registry import ExportFormat
+    from analysis.record import Record
 
 _DESCRIPTION = """\
 Write what was tuned as a file for a physics engine: a ball's contact, or a payload's
@@ -60,7 +61,7 @@ def build_parser() -> Parser:
         metavar="FILE",
         help="default: NAME.ENGINE.* beside it",
     )
-    add("--overwrite", action="store_true", help="replace files that exist")
+    add("--overwrite", action="store_true", help="replace exports of other logs")
     ball = parser.add_argument_group("of a ball")
     ball.add_argument(
         "--speed",
@@ -94,15 +95,25 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _export(arguments: argparse.Namespace) -> int:
     from analysis.export.exported import ExportedBall
     from analysis.export.registry import export_format
-    from analysis.result_files import replacing
+    from analysis.result_files import exported_file
+    from tunenet_logs.output.owned_file import OutputPlace
 
     engine = export_format(arguments.to)
-    item = _item(arguments, engine)
+    record, item = _item(arguments, engine)
     texts = _texts(arguments, engine, item)
-    for path in texts:
-        _check_free(path, arguments)
-    for path, text in texts.items():
-        with replacing(path) as partial:
+    knows, elsewhere = exported_file(record), "give -o another file"
+    places = {
+        OutputPlace(
+            path, "export", knows, record.log, elsewhere, overwrite=arguments.overwrite
+        ): text
+        for path, text in texts.items()
+    }
+    for place in places:
+        if real_path(place.path) == real_path(arguments.tuning):
+            raise UsageError(f"{place.path}: is the tuning itself; {elsewhere}")
+        place.check()
+    for place, text in places.items():
+        with place.replacing() as partial:
             partial.write_text(text, "utf-8")
     if item.origin.verdict == "suspect":
         why = item.origin.reason or "no reason is given"
@@ -133,7 +144,9 @@ def _check_words(engine: ExportFormat, path: Path, ball: ExportedBall) -> str:
     return "\n".join(lines)
 
 
-def _item(arguments: argparse.Namespace, engine: ExportFormat) -> ExportedBall | ExportedPayload:
+def _item(
+    arguments: argparse.Namespace, engine: ExportFormat
+) -> tuple[Record, ExportedBall | ExportedPayload]:
     from analysis.export.files import exported_for
     from analysis.export.from_record import ExportOptions
     from analysis.record_json import read_record
@@ -141,7 +154,7 @@ def _item(arguments: argparse.Namespace, engine: ExportFormat) -> ExportedBall |
     said = ExportOptions(arguments.speed, arguments.radius, arguments.mass, arguments.step)
     record = read_record(arguments.tuning)
     try:
-        return exported_for(engine, record, said)
+        return record, exported_for(engine, record, said)
     except TuneNetError as error:
         raise type(error)(f"{arguments.tuning}: {error}") from error
 
@@ -157,21 +170,6 @@ def _texts(
     if path is None:
         path = arguments.tuning.with_suffix(usual_suffix(engine))
     return export_texts(engine, item, path)
-
-
-def _check_free(path: Path, arguments: argparse.Namespace) -> None:
-    """No file is replaced unasked, and the tuning never.
-
-    Raises:
-        UsageError: it would be, or it cannot be written.
-    """
-    from analysis.result_files import check_writable
-
-    if real_path(path) == real_path(arguments.tuning):
-        raise UsageError(f"{path}: is the tuning itself; give -o another file")
-    check_writable(path, "-o")
-    if path.exists() and not arguments.overwrite:
-        raise UsageError(f"{path}: exists; give -o another file, or --overwrite")
 
 
 if __name__ == "__main__":

@@ -152,8 +152,8 @@ def check_card_place(arguments: argparse.Namespace) -> None:
     saved, logs = arguments.save_arm_card, arguments.logs
     if saved is None:
         return
-    from analysis.result_files import check_writable
+    from analysis.payload.card_saving import card_place
 
     if len({real_path(log) for log in logs}) != 1:
         raise UsageError(f"--save-arm-card is for one log, not {len(logs)}; name one")
-    check_writable(saved, "--save-arm-card")
+    card_place(saved, None, overwrite=True).check()

@@ -20,6 +20,7 @@ from tunenet_logs.terminal import one_line
 if TYPE_CHECKING:
     from analysis.planning.known_ball import KnownBall
     from recorders.simulators.shot.rig import ShotRig
+    from tunenet_logs.output.owned_file import OutputPlace
 
 _DESCRIPTION = """\
 Choose the height from which to let a ball go above an inclined plane, so that it
@@ -77,9 +78,10 @@ def build_parser() -> Parser:
         help="with --restitution: its standard deviation (default: .01)",
     )
     engine_option(parser)
-    files = parser.add_argument_group("files (replaced if they exist)")
+    files = parser.add_argument_group("files (a plan of the same log is replaced)")
     json_option(files, "the plan, with each shot that was tried,", "-o")
     files.add_argument("--rrd", type=Path, metavar="FILE", help="the shots, for Rerun")
+    files.add_argument("--overwrite", action="store_true", help="replace plans of other logs")
     return parser
 
 
@@ -89,7 +91,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _plan(arguments: argparse.Namespace) -> int:
-    from analysis.result_files import check_writable, replacing, write_json
+    from analysis.result_files import write_json
     from recorders.simulators.shot.rig import ShotRig
     from recorders.simulators.shot.rig_file import read_rig, rig_text
 
@@ -101,10 +103,10 @@ def _plan(arguments: argparse.Namespace) -> int:
         return 0
     _refuse_own_input(arguments)
     ball = _ball(arguments, rig)
-    for name in ("json", "rrd"):
-        path = getattr(arguments, name)
-        if path is not None and not (name == "json" and is_stdout(path)):
-            check_writable(path, f"--{name}")
+    places = _places(arguments, ball)
+    for path, place in places.items():
+        if not is_stdout(path):
+            place.check()
     if arguments.rrd is not None and arguments.rrd.suffix != ".rrd":
         raise UsageError(f"{arguments.rrd}: Rerun opens .rrd; give --rrd a name that ends so")
 
@@ -120,15 +122,38 @@ def _plan(arguments: argparse.Namespace) -> int:
     for warning in plan.warnings:
         print(one_line(f"tunenet-plan: {warning}"), file=sys.stderr)
     if arguments.json is not None:
-        write_json(arguments.json, plan_json(plan, replay))
+        write_json(places[arguments.json], plan_json(plan, replay))
     if arguments.rrd is not None:
         from analysis.review.shot import write_shots
 
-        with replacing(arguments.rrd) as partial:
+        with places[arguments.rrd].replacing() as partial:
             write_shots(plan, partial)
         if shows_table:
             print(f"\nreview: rerun {one_line(arguments.rrd)}")
     return int(plan.best is None)
+
+
+def _places(arguments: argparse.Namespace, ball: KnownBall) -> dict[Path, OutputPlace]:
+    """Where the plan goes, by the paths that were given."""
+    from analysis.result_files import in_words, marked, recording, subject_of
+    from tunenet_logs.output.owned_file import OutputPlace
+
+    kinds = {
+        "json": ("plan", marked("json", "plan", ball.logs)),
+        "rrd": ("recording of shots", recording("shot", subject_of(ball.logs))),
+    }
+    return {
+        path: OutputPlace(
+            path,
+            what,
+            knows,
+            in_words(ball.logs) or "a ball that is told",
+            f"give --{name} another file",
+            overwrite=arguments.overwrite,
+        )
+        for name, (what, knows) in kinds.items()
+        if (path := getattr(arguments, name)) is not None
+    }
 
 
 def _ball(arguments: argparse.Namespace, rig: ShotRig) -> KnownBall:
@@ -178,9 +203,10 @@ def _is_same(one: Path, other: Path) -> bool:
 
 def _save_new(path: Path, text: str) -> None:
     """A file that somebody has edited is not replaced."""
+    from tunenet_logs.output.new_file import write_new
+
     try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(text)
+        write_new(path, text.encode())
     except FileExistsError as error:
         raise UsageError(f"{path}: exists; give --save-rig another name") from error
     except OSError as error:

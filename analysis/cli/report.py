@@ -15,7 +15,9 @@ from tunenet_logs.terminal import Progress, one_line
 
 if TYPE_CHECKING:
     from analysis.report.embedded import Kind
+    from analysis.result_files import Logs
     from analysis.tuning_files import TuningFile
+    from tunenet_logs.output.owned_file import OutputPlace
 
 _DESCRIPTION = """\
 One page of what was tuned, with everything in it: no network, under 3 MB. The verdict
@@ -46,7 +48,7 @@ def build_parser() -> Parser:
     add("-o", "--output", type=Path, metavar="REPORT.html", help="page to write")
     add("--png", type=Path, metavar="FILE_OR_FOLDER", help="figures as PNG, 300 dpi")
     add("--pdf", type=Path, metavar="FILE_OR_FOLDER", help="figures as PDF, fonts within")
-    add("--overwrite", action="store_true", help="replace what this command wrote before")
+    add("--overwrite", action="store_true", help="replace results of other logs")
     jobs_option(parser, "drops of a campaign at a time")
     add("--quiet", action="store_true", help="no progress bar")
     return parser
@@ -66,19 +68,23 @@ def _report(arguments: argparse.Namespace) -> int:
     needed("jinja2", "report")
     from analysis.campaign.files import files_of
     from analysis.report.reported import read_reported
+    from analysis.result_files import check_place, logs_of
 
     inputs = list(files_of(arguments.places, _warn))
-    if arguments.output:
-        _check_page(arguments, inputs)
+    if arguments.output:  # a campaign takes a while, and then says of which logs it is
+        check_place(_page(arguments, {}, overwrite=True), "-o", (".html",), inputs)
     progress = Progress(quiet=arguments.quiet)
     reported = read_reported(arguments.places, arguments.jobs, progress, _warn)
     written: list[Path] = []
+    logs = logs_of(one.record for one in reported.tunings)
+    page = arguments.output and _page(arguments, logs, overwrite=arguments.overwrite)
+    if page:
+        page.check()
     figures = _figure_files(arguments, reported.tunings, inputs)
-    if arguments.output:
+    if page:
         from analysis.report.page import report_page
-        from analysis.result_files import replacing
 
-        with replacing(arguments.output) as partial:
+        with page.replacing() as partial:
             partial.write_text(report_page(reported), "utf-8")
         written.append(arguments.output)
     written += figures
@@ -86,10 +92,15 @@ def _report(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _check_page(arguments: argparse.Namespace, inputs: Sequence[Path]) -> None:
-    from analysis.output_files import check_output
+def _page(arguments: argparse.Namespace, logs: Logs, *, overwrite: bool) -> OutputPlace:
+    from analysis.result_files import in_words, marked
+    from tunenet_logs.output.owned_file import OutputPlace
 
-    check_output(arguments.output, "-o", (".html",), inputs, overwrite=arguments.overwrite)
+    knows = marked("html", "page", logs)
+    elsewhere = "give -o another file"
+    return OutputPlace(
+        arguments.output, "page", knows, in_words(logs), elsewhere, overwrite=overwrite
+    )
 
 
 def _figure_files(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from analysis.cli.options import jobs_option
 from tunenet_logs.commandline import Parser, run
 from tunenet_logs.errors import UsageError
-from tunenet_logs.terminal import Progress, one_line, short_name
+from tunenet_logs.terminal import Progress, listed, one_line, short_name
 
 if TYPE_CHECKING:
     from analysis.campaign.rates import Rate
@@ -45,6 +45,7 @@ def build_parser() -> Parser:
     add = parser.add_argument
     add("places", nargs="+", type=Path, metavar="CAMPAIGN", help="folder or file of the campaign")
     add("-o", "--output", type=Path, required=True, metavar="REVIEW.rrd", help="recording to write")
+    add("--overwrite", action="store_true", help="replace the review of another campaign")
     jobs_option(parser, "drops at a time")
     add("--quiet", action="store_true", help="no progress bar")
     return parser
@@ -59,14 +60,19 @@ def _review(arguments: Any) -> int:
     output: Path = arguments.output
     if output.suffix != ".rrd":
         raise UsageError(f"{output}: what is written is a recording; name it {output.stem}.rrd")
-    from analysis.campaign.build import campaign_of
+    from analysis.campaign.build import campaign_of, places_of
     from analysis.campaign.rates import ball_rates, overall_rates, restitutions_by_ball
-    from analysis.result_files import check_writable
+    from analysis.result_files import recording, subject_of
     from analysis.review.campaign import write_campaign
+    from tunenet_logs.output.owned_file import OutputPlace
 
-    check_writable(output, "-o")
+    named = places_of(arguments.places)
+    knows = recording("campaign", subject_of(named))
+    place = OutputPlace(output, "review", knows, listed(named, 3), overwrite=arguments.overwrite)
+    place.check()
     campaign = campaign_of(arguments.places, arguments.jobs, Progress(quiet=arguments.quiet), _warn)
-    write_campaign(campaign, output)
+    with place.replacing() as partial:
+        write_campaign(campaign, partial)
     attempts = campaign.attempts
     if campaign.tuned_now:
         _warn(f"drops without a tuning, tuned now, nothing kept: {campaign.tuned_now}")

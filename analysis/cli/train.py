@@ -80,19 +80,22 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _train(arguments: argparse.Namespace) -> int:
     path = arguments.output or Path(f"{arguments.task}-{arguments.preset}.safetensors")
-    if path.exists() and not arguments.overwrite:
-        raise WeightsError(f"{path}: exists; choose another name with -o, or pass --overwrite")
     if not path.parent.is_dir():
         raise WeightsError(f"{path.parent}: no such folder; create it, or choose another with -o")
 
     from dataclasses import replace
 
+    from analysis.tunenet.checkpoint import save_model, weights_place
+
+    if why := weights_place(path).why_not():
+        raise WeightsError(why)
+    if path.exists() and not arguments.overwrite:
+        raise WeightsError(f"{path}: exists; choose another name with -o, or pass --overwrite")
     from analysis.optional_dependencies import needed
 
     needed("torch", extra="train")  # loading it is start-up, not training
 
     from analysis.cluster import Cluster
-    from analysis.tunenet.checkpoint import save_model
     from analysis.tunenet.training import one_step_error, train
     from recorders.simulators.engines import engine
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from analysis.record import Tuning
     from analysis.selection import Options, Selection
     from analysis.tune_options import TuneOptions
+    from tunenet_logs.output.owned_file import OutputPlace
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -64,15 +65,15 @@ def _tune(arguments: argparse.Namespace) -> int:
         arguments.output is not None and (found.are_many or wants_ledger),
         arguments.resume,
     )
-    _check_tables(arguments, order)
+    csv, lines = _table_places(arguments, order)
     stream = None
     if arguments.ray is not None:
         from analysis.batch.ray_cluster import on_ray
         from analysis.cluster import Cluster
 
         stream = partial(on_ray, Cluster(arguments.ray, arguments.jobs))
-    after = partial(closing, order, arguments.csv)
-    with result_lines(arguments.json) as each:
+    after = partial(closing, order, csv)
+    with result_lines(lines) as each:
         batch = run_batch(order, progress, stream, arguments.jobs, after=after, each=each)
     if arguments.verbose:
         print_details(batch.results)
@@ -97,16 +98,22 @@ def _plan(logs: Sequence[FoundLog], options: Options) -> int:
     return 0
 
 
-def _check_tables(arguments: argparse.Namespace, order: Order) -> None:
-    """Refuse at once a table of all logs that could not be written after the work."""
+def _table_places(
+    arguments: argparse.Namespace, order: Order
+) -> tuple[OutputPlace | None, OutputPlace | None]:
+    """Where --csv and --json write; refuses at once what could not be written after the work."""
+    csv, lines, overwrite = None, None, arguments.overwrite
     if arguments.csv is not None:
-        from analysis.batch.text_table import check_csv
+        from analysis.batch.text_table import check_csv, csv_place
 
-        check_csv(arguments.csv, arguments.output, order.logs, overwrite=arguments.overwrite)
+        csv = csv_place(arguments.csv, arguments.output, overwrite=overwrite)
+        check_csv(csv, arguments.output, order.logs)
     if arguments.json is not None:
-        from analysis.batch.result_lines import check_lines
+        from analysis.batch.result_lines import check_lines, lines_place
 
-        check_lines(arguments.json, order, overwrite=arguments.overwrite)
+        check_lines(arguments.json, order, overwrite=overwrite)
+        lines = lines_place(arguments.json, order, overwrite=overwrite)
+    return csv, lines
 
 
 def given_options(arguments: argparse.Namespace) -> TuneOptions:

@@ -27,12 +27,13 @@ from analysis.tracking.track import Track
 from recorders.simulators.balls import Ball
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import NotFoundError
+from tunenet_logs.left_out import LeftOut
 
 DISAGREEMENT = "let go without spin, over a hard and level surface, and compare"
 """What to do where a cross-check of a drop disagrees."""
 
-_SLOW_M = 6.0
-"""A fall this high by the clock was more likely filmed in slow motion."""
+_MAX_HEIGHT_M, _MAX_DIAMETER_M = 4.0, 0.4  # by the clock; above, slow motion without a tag
+_BY_HEIGHT, _BY_DIAMETER = 1.3, 1.8  # factors by which a known length may be off: blur widens
 
 _MOST_NAMED = 5
 """Later drops that a warning lists."""
@@ -60,6 +61,7 @@ class DropDetection:
         others: bounces of the recording that do not follow freely, for a ball that was thrown.
         sunk_m: how far below where it bounced a thrown ball ever is in the recording [m].
         sound: beside the positions; None where there is none.
+        left_out: what the log's signal lacks.
     """
 
     physical: bool
@@ -75,6 +77,7 @@ class DropDetection:
     sunk_m: float = 0.0
     sound: SoundBeside | None = None
     film: None = None
+    left_out: tuple[LeftOut, ...] = ()
 
     @property
     def uses_ball(self) -> bool:
@@ -188,7 +191,9 @@ class FilmDetection:
         track_warnings: what a user should know of pictures and track, in words.
         outliers: none: what is not the ball was not tracked.
         is_timed: whether the stamps are times; where they count pictures there is no scale at all.
+        is_rate_known: whether somebody said at which rate it was filmed: a tag, or who recorded it.
         sound: beside the pictures; None where there is none.
+        left_out: pictures of the topic that are not looked at.
     """
 
     physical: bool
@@ -202,7 +207,9 @@ class FilmDetection:
     track_warnings: tuple[str, ...] = ()
     outliers: int = 0
     is_timed: bool = True
+    is_rate_known: bool = False
     sound: SoundBeside | None = None
+    left_out: tuple[LeftOut, ...] = ()
 
     @property
     def uses_ball(self) -> bool:
@@ -222,8 +229,43 @@ class FilmDetection:
 
     @property
     def tells_speed(self) -> bool:
-        """Whether metres and seconds are known; the clock is the scale."""
-        return self.is_timed
+        """Whether metres and seconds are known; the clock is the scale, where nothing doubts it."""
+        return self.is_timed and not (self.contradicted_scale or self.is_slow_motion)
+
+    @property
+    def _diameter(self) -> float:
+        """The ball's diameter in the pictures [drop heights]; NaN where it is not known."""
+        radii_px = self.track.radius_px[self.film.used]
+        known = radii_px[np.isfinite(radii_px)]
+        return 2 * float(np.median(known)) / self.film.projection.span if len(known) else np.nan
+
+    @property
+    def known_height(self) -> tuple[float, float] | None:
+        """The drop height by a known length [m], and the factor it may be off; None without one.
+
+        A height that nothing has (0, say, where somebody did not measure) counts as unknown.
+        """
+        if self.height_m is not None and 0 < self.height_m < np.inf:
+            return self.height_m, _BY_HEIGHT
+        if self.ball.diameter_m is not None:
+            return self.ball.diameter_m / self._diameter, _BY_DIAMETER
+        return None
+
+    @cached_property
+    def contradicted_scale(self) -> bool:
+        """Whether a known length contradicts the clock: the film plays at another rate."""
+        if not self.is_timed or self.known_height is None:
+            return False
+        known_m, within = self.known_height
+        return not known_m / within < self.film.drop.drop_height_m < known_m * within
+
+    @cached_property
+    def is_slow_motion(self) -> bool:
+        """Whether fall and ball are so large by the clock that it most likely runs too slowly."""
+        if not self.is_timed or self.is_rate_known or self.known_height is not None:
+            return False
+        height_m = self.film.drop.drop_height_m
+        return height_m > _MAX_HEIGHT_M or self._diameter * height_m > _MAX_DIAMETER_M
 
     @cached_property
     def film(self) -> FilmedDrop:
@@ -239,7 +281,7 @@ class FilmDetection:
     def rebounds(self) -> tuple[Rebound, ...]:
         """Each impact by itself."""
         found = fitted_rebounds(self.posterior)
-        if self.is_timed:
+        if self.tells_speed:
             return found
         return tuple(replace(one, impact_speed_m_s=None) for one in found)
 
@@ -290,7 +332,7 @@ class FilmDetection:
     @property
     def extent(self) -> tuple[str, str]:
         """How high the ball fell from."""
-        if not self.is_timed:
+        if not self.tells_speed:
             return "drop", "height not told"
         return "drop", f"{self.drop.drop_height_m:.3f} m"
 
@@ -336,10 +378,12 @@ class FilmDetection:
             found.append(
                 f"more drops seem to follow, at {at}; the first is used (see --start, --end)"
             )
-        if self.is_timed and height_m >= _SLOW_M:
+        if self.is_slow_motion:
             found.append(
-                f"falls {height_m:.1f} m by the clock: slow motion? the restitution is the same; "
-                "for true heights and speeds record it with tunenet-record --camera FILE --fps RATE"
+                f"falls {height_m:.1f} m by the clock, a ball of {self._diameter * height_m:.2f} "
+                "m: slow motion? the restitution is the same, but height, speeds and drag are left "
+                "open; name the ball (--ball-diameter), or record it with tunenet-record --camera "
+                "FILE --fps RATE"
             )
         return tuple(found)
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.checks import Check
+from analysis.drop.detection import FilmDetection
 from analysis.drop.film import FilmedDrop, is_whole
 from analysis.drop.film_faults import MOST_CLOCK_GAIN, clock_test, long_steps
 from analysis.drop.film_reasons import LEAST_FREE, free_flight
@@ -51,9 +52,6 @@ _SDS = 4.0
 
 _FEWEST_FLIGHTS = 2
 """The first alone has no other to be compared with."""
-
-_BY_DROP_HEIGHT, _BY_DIAMETER = 1.3, 1.8
-"""Factors that a known length may be off: a diameter in the picture is blurred."""
 
 _FEWEST = 12
 """Samples for a test of size."""
@@ -197,34 +195,21 @@ def _distance_checks(film: FilmedDrop) -> list[Check]:
     ]
 
 
-def scale_checks(
-    film: FilmedDrop, ball_diameter_m: float | None, drop_height_m: float | None
-) -> list[Check]:
-    """Whether the film's frame rate is its true one, where a length is known.
+def scale_checks(detection: FilmDetection) -> list[Check]:
+    """Judge whether the film's frame rate is its true one, where a length is known.
 
     A film that plays at another rate than it was filmed shows another gravity. The restitution is
-    the same, the drop height and speeds are not. A length that nothing has (0, say, where somebody
-    did not measure) counts as unknown.
-
-    Args:
-        film: the drop.
-        ball_diameter_m: as the log says.
-        drop_height_m: as the log says; the more exact of the two.
+    the same, the drop height, speeds and drag are not.
     """
-    if drop_height_m is not None and 0 < drop_height_m < np.inf:
-        known_m, within = drop_height_m, _BY_DROP_HEIGHT
-    elif ball_diameter_m is not None and 0 < ball_diameter_m < np.inf:
-        diameter_px = 2 * float(np.nanmedian(film.track.radius_px[film.used]))
-        known_m, within = film.projection.span / diameter_px * ball_diameter_m, _BY_DIAMETER
-    else:
+    if not detection.is_timed or detection.known_height is None:
         return []
-    by_time_m = film.drop.drop_height_m
+    known_m, within = detection.known_height
     return [
         Check(
             "frame rate",
-            known_m / within < by_time_m < known_m * within,
-            f"falls {by_time_m:.2f} m by the clock, {known_m:.2f} m by the known size (wanted: "
-            f"within a factor {within}; or it is not that size)",
+            not detection.contradicted_scale,
+            f"falls {detection.film.drop.drop_height_m:.2f} m by the clock, {known_m:.2f} m by the "
+            f"known size (wanted: within a factor {within}; or it is not that size)",
             advice="record slow motion with its true rate: tunenet-record --camera FILE --fps RATE",
         )
     ]

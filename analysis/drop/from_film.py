@@ -28,6 +28,8 @@ from recorders.simulators.balls import completed, contradict, recorded_ball
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, EpisodeInfo
 from tunenet_logs.errors import NotFoundError
+from tunenet_logs.formats.video import is_rate_said
+from tunenet_logs.left_out import NOT_LATER, LeftOut, added
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -112,8 +114,7 @@ class DropFromFilm:
             *film_checks(film),
             *recording_checks(part, sideways_m, _MOST_GAP_FALLS, excused_s),
         ]
-        if detection.is_timed:
-            checks += scale_checks(film, detection.ball.diameter_m, detection.height_m)
+        checks += scale_checks(detection)
         if not detection.physical:  # z and y are not to be compared
             return (*checks, _paper_check(drop.drop_height_m))
         value = float(last.values[0])
@@ -186,7 +187,13 @@ def _detect_in(
         warnings.append(f"{pictures.other_size} pictures of another size were left out")
     if pictures.damaged:
         warnings.append(f"{pictures.damaged} damaged pictures were left out")
+    lacking = tuple(
+        LeftOut(topic, one.used, added(one.by_reason, {NOT_LATER: pictures.not_later}))
+        for one in map(LeftOut.of_channel, episode.channels)
+        if one.name == topic
+    )
     return FilmDetection(
+        left_out=lacking,
         physical=physical,
         topic=topic,
         start_ns=pictures.start_ns,
@@ -197,6 +204,7 @@ def _detect_in(
         taken_ns=arrivals.taken_ns,
         track_warnings=tuple(warnings),
         is_timed=is_timed,
+        is_rate_known=is_rate_said(episode.info.notes),
         sound=sound_beside(episode, pictures.start_ns),
     )
 

@@ -36,6 +36,7 @@ from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, Signal
 from tunenet_logs.errors import NotFoundError
 from tunenet_logs.late_stamps import correct_late_stamps
+from tunenet_logs.left_out import LeftOut
 from tunenet_logs.terminal import listed
 
 if TYPE_CHECKING:
@@ -170,7 +171,9 @@ def _detect_in(
     papers = () if found.physical else _paper_warnings(found.found)
     late = arrivals.warnings("samples")
     warnings = (*found.warnings, *_spread(found), *papers, *late)
-    return replace(found, warnings=warnings, sound=sound_beside(episode, track.start_ns))
+    sound = sound_beside(episode, track.start_ns)
+    lacking = (LeftOut.of_signal(signal),)
+    return replace(found, warnings=warnings, sound=sound, left_out=lacking)
 
 
 def _spread(found: DropDetection) -> list[str]:

@@ -29,6 +29,7 @@ from recorders.simulators.drop import REAL_BALL
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import NotFoundError
+from tunenet_logs.left_out import LeftOut
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -108,6 +109,7 @@ class DropFromTimes:
             rig=Rig(ball.drag_1_m, height_m, not signal.counts_frames),
             ball=ball,
             warnings=tuple(warnings),
+            left_out=(LeftOut.of_signal(signal),),
         )
 
     def checks(
@@ -155,4 +157,7 @@ def _heard_in_sound(episode: Episode, selection: Selection) -> TimesDetection:
         ball=ball,
         warnings=heard.sound.warnings,
         listened=heard,
+        left_out=tuple(
+            LeftOut.of_channel(one) for one in episode.channels if one.topic == heard.sound.name
+        ),
     )

@@ -6,6 +6,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from analysis.cli.options import jobs_option, json_option
 from analysis.evaluation.choices import (
@@ -29,6 +30,9 @@ from tunenet_logs.commandline import Parser, is_stdout, run, whole
 from tunenet_logs.errors import UsageError
 from tunenet_logs.regular_file import real_path
 from tunenet_logs.terminal import Progress, one_line
+
+if TYPE_CHECKING:
+    from analysis.evaluation.writing import FigurePlace
 
 _DESCRIPTION = """\
 Repeat an experiment of the TuneNet paper from nothing, training and test targets drawn
@@ -141,6 +145,7 @@ def build_parser() -> Parser:
     files.add_argument(
         "--csv", type=Path, metavar="FILE", help="one row for each method, budget and seed, or line"
     )
+    add("--overwrite", action="store_true", help="replace figures of another experiment")
     add("--quiet", action="store_true", help="no progress bar")
     for name in ("--pairs", "--epochs"):  # of training, to try things out
         add(name, type=whole(1, 1_000_000), help=argparse.SUPPRESS)
@@ -200,7 +205,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _eval(arguments: argparse.Namespace) -> int:
-    _check(arguments)
+    places = _checked(arguments)
 
     progress = Progress(quiet=arguments.quiet)
     count = arguments.seeds or _SEEDS.get(arguments.experiment, _DEFAULT_SEEDS)
@@ -213,11 +218,11 @@ def _eval(arguments: argparse.Namespace) -> int:
         if not to_stdout:
             print(block + "\n", flush=True)
     for name in _FILES:
-        path = getattr(arguments, name)
-        if path is not None:
-            writers[name](path)
+        if name in places:
+            writers[name](places[name])
             if not to_stdout:
-                print(f"{name}: {'rerun ' if name == 'rrd' else ''}{one_line(path)}")
+                path = one_line(places[name].place.path)
+                print(f"{name}: {'rerun ' if name == 'rrd' else ''}{path}")
     return 0
 
 
@@ -238,25 +243,31 @@ def _check_options(arguments: argparse.Namespace) -> None:
         raise UsageError(f"{folder}: is there already; give --campaign a new folder")
 
 
-def _check(arguments: argparse.Namespace) -> None:
-    """Refuse at once what would fail after the work."""
+def _checked(arguments: argparse.Namespace) -> dict[str, FigurePlace]:
+    """Refuse at once what would fail after the work; where the files go, by their options."""
     _check_options(arguments)
 
-    from analysis.result_files import check_writable
+    from analysis.evaluation.writing import FigurePlace
 
     taken: dict[Path, str] = {}
+    places: dict[str, FigurePlace] = {}
     for name in _FILES:
         path = getattr(arguments, name)
-        if path is None or (name == "json" and is_stdout(path)):
+        if path is None:
+            continue
+        what, overwrite = arguments.experiment, arguments.overwrite
+        places[name] = FigurePlace.of(what, name, path, overwrite=overwrite)
+        if name == "json" and is_stdout(path):
             continue
         if is_stdout(path):
             raise UsageError(f"--{name} -: only --json goes to standard output; name a file")
         other = taken.setdefault(real_path(path), name)
         if other != name:
             raise UsageError(f"{path}: both --{other} and --{name} name it; give each its own")
-        check_writable(path, f"--{name}")
+        places[name].place.check()
         if name in ("png", "rrd") and path.suffix != f".{name}":
             raise UsageError(f"{path}: --{name} writes .{name}; give the file a name that ends so")
+    return places
 
 
 if __name__ == "__main__":

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Mapping, Sequence
 from typing import Any
+
+from tunenet_logs.csv_lines import csv_line
 
 
 def json_text(content: Mapping[str, Any]) -> str:
@@ -25,8 +25,5 @@ def csv_text(columns: Sequence[str], records: Sequence[Mapping[str, Any]]) -> st
         columns: the keys of each record, in the order of the table.
         records: the rows.
     """
-    text = io.StringIO()
-    table = csv.DictWriter(text, columns, lineterminator="\n")
-    table.writeheader()
-    table.writerows(records)
-    return text.getvalue()
+    rows = (csv_line(record.get(name) for name in columns) for record in records)
+    return csv_line(columns) + "".join(rows)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterable, Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from analysis.evaluation.choices import (
@@ -24,14 +23,14 @@ from analysis.evaluation.choices import (
 )
 from analysis.evaluation.sound.printing import print_sound
 from analysis.evaluation.sysid.printing import print_sysid
-from analysis.evaluation.writing import write_json_to, write_text_to
+from analysis.evaluation.writing import FigurePlace, write_json_to, write_text_to
 from tunenet_logs.errors import UsageError
 
 if TYPE_CHECKING:
     from analysis.evaluation.drop.networks import Effort
     from tunenet_logs.terminal import Progress
 
-Writers = dict[str, Callable[[Path], None]]
+Writers = dict[str, Callable[[FigurePlace], None]]
 """What an experiment can write, once all of its text is printed."""
 
 Experiment = Callable[
@@ -64,15 +63,20 @@ def _drop(
     )
     results = run_drop(order, progress)
 
-    def write_rrd(path: Path) -> None:
+    def write_rrd(to: FigurePlace) -> None:
         from analysis.evaluation.drop.review.convergence import write_convergence
 
-        write_convergence(results, path)
+        with to.place.replacing() as partial:
+            write_convergence(results, partial)
+
+    def write_png(to: FigurePlace) -> None:
+        with to.place.replacing() as partial:
+            write_figure(results, partial, to.mark)
 
     return [drop_tables(results)], {
-        "json": lambda path: write_json_to(path, drop_json(results)),
-        "csv": lambda path: write_text_to(path, drop_csv(results)),
-        "png": lambda path: write_figure(results, path),
+        "json": lambda to: write_json_to(to, drop_json(results)),
+        "csv": lambda to: write_text_to(to, drop_csv(results)),
+        "png": write_png,
         "rrd": write_rrd,
     }
 
@@ -90,8 +94,8 @@ def _motion(
     targets = arguments.targets
     rows = run_motion(seeds, targets, arguments.jobs, progress, _effort(arguments))
     return [motion_lines(rows, seeds, targets)], {
-        "json": lambda path: write_json_to(path, motion_json(rows, seeds, targets)),
-        "csv": lambda path: write_text_to(path, motion_csv(rows, seeds)),
+        "json": lambda to: write_json_to(to, motion_json(rows, seeds, targets)),
+        "csv": lambda to: write_text_to(to, motion_csv(rows, seeds)),
     }
 
 
@@ -106,8 +110,8 @@ def _intervals(
     targets = arguments.targets
     rows = interval_coverages(seeds, targets, arguments.jobs, progress)
     return [coverage_table(rows)], {
-        "json": lambda path: write_json_to(path, intervals_json(rows, seeds, targets)),
-        "csv": lambda path: write_text_to(path, intervals_csv(rows)),
+        "json": lambda to: write_json_to(to, intervals_json(rows, seeds, targets)),
+        "csv": lambda to: write_text_to(to, intervals_csv(rows)),
     }
 
 
@@ -160,7 +164,7 @@ def _payload(
         "json": lambda path: write_json_to(
             path, payload_json(masses, logs, order, strangers, conventions)
         ),
-        "csv": lambda path: write_text_to(path, payload_csv(masses, order)),
+        "csv": lambda to: write_text_to(to, payload_csv(masses, order)),
     }
 
 
@@ -202,8 +206,8 @@ def _bounce_shot(
             yield acceptance_table(bad, good)
 
     return blocks(), {
-        "json": lambda path: write_json_to(path, shot_json(results, bad, good)),
-        "csv": lambda path: write_text_to(path, shot_csv(results)),
+        "json": lambda to: write_json_to(to, shot_json(results, bad, good)),
+        "csv": lambda to: write_text_to(to, shot_csv(results)),
     }
 
 
@@ -253,8 +257,8 @@ def _video(
             yield transformed_table(transformed)
 
     return blocks(), {
-        "json": lambda path: write_json_to(path, video_json(rows, order, clips, transformed)),
-        "csv": lambda path: write_text_to(path, video_csv(rows)),
+        "json": lambda to: write_json_to(to, video_json(rows, order, clips, transformed)),
+        "csv": lambda to: write_text_to(to, video_csv(rows)),
     }
 
 
@@ -286,8 +290,8 @@ def _real_balls(
                 yield from section_blocks(section, found)
 
     return blocks(), {
-        "json": lambda path: write_json_to(path, real_json(lines, order)),
-        "csv": lambda path: write_text_to(path, real_csv(lines)),
+        "json": lambda to: write_json_to(to, real_json(lines, order)),
+        "csv": lambda to: write_text_to(to, real_csv(lines)),
     }
 
 
@@ -302,8 +306,8 @@ def _engines(
     order = EngineOrder(seeds, arguments.targets, arguments.jobs)
     lines = engine_lines(order, progress)
     return [engine_tables(lines, order)], {
-        "json": lambda path: write_json_to(path, engines_json(lines, order)),
-        "csv": lambda path: write_text_to(path, engines_csv(lines)),
+        "json": lambda to: write_json_to(to, engines_json(lines, order)),
+        "csv": lambda to: write_text_to(to, engines_csv(lines)),
     }
 
 

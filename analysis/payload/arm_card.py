@@ -28,7 +28,7 @@ from tunenet_logs.terminal import one_line, short_name
 
 _KIND, _VERSION = "tunenet-logs arm card", 1
 
-_MOST_BYTES = 16_000_000
+MOST_CARD_BYTES = 16_000_000
 """Of a file: that of an arm with as many joints as any may have, and half as much again."""
 
 _MOST_RUNS, _MOST_TERMS, _MOST_CHARACTERS = 1000, 1200, 500
@@ -139,23 +139,29 @@ def read_arm_card(path: Path) -> ArmCard:
         UsageError: it cannot be read, is something else, or has values that no card has.
     """
     try:
-        fields = parse_json(read_small_file(path, _MOST_BYTES))
-        return _card(fields, path.name)
+        return card_in(read_small_file(path, MOST_CARD_BYTES), path.name)
     except LogError as error:
         raise UsageError(f"{error}; {_REMEDY}") from error
     except OSError as error:
         raise UsageError(f"{path}: cannot be read ({error.strerror}); {_REMEDY}") from error
-    except (ValueError, TypeError, LookupError) as error:
+    except ValueError as error:
         why = one_line(short_name(error, 200))
         raise UsageError(f"{path}: is no card of an arm ({why}); {_REMEDY}") from error
 
 
-def _card(fields: Any, file: str) -> ArmCard:
-    """Of a JSON's object.
+def card_in(data: bytes, file: str) -> ArmCard:
+    """The card of a file's bytes, and its name.
 
     Raises:
-        ValueError: it is none.
+        ValueError: they are none, whatever is wrong.
     """
+    try:
+        return _card(parse_json(data), file)
+    except (TypeError, LookupError) as error:
+        raise ValueError(str(error)) from error
+
+
+def _card(fields: Any, file: str) -> ArmCard:
     if not isinstance(fields, dict) or fields.get("kind") != _KIND:
         raise ValueError("another JSON")
     if fields.get("version") != _VERSION:

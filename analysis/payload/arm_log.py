@@ -22,6 +22,7 @@ from tunenet_logs.arrays import Array
 from tunenet_logs.clock_jumps import part_on_grid
 from tunenet_logs.episode import Episode, Signal
 from tunenet_logs.errors import NotFoundError
+from tunenet_logs.left_out import LeftOut
 from tunenet_logs.terminal import FEW_NAMES, listed
 
 JOINT_UNITS = ("N·m", "rad")
@@ -43,6 +44,11 @@ _FEWEST_SAMPLES = 20
 
 LEAST_KNOT_S = 0.04
 """Between knots of a spline through positions: no arm's acceleration has finer detail."""
+
+_LONGEST_S, _LOOKED_AT_S, _MUCH_ALIKE = 600.0, 0.1, 0.9
+"""Of a motion that is fitted, whose torques become a few hundred means: of a longer one they are so
+far apart that a motion which repeats itself looks like a drift. How often it is looked at to find
+where it moves most, and parts that move as much as this fraction of the most."""
 
 _KNOTS, _KNOTS_A_SAMPLE = 50_000, 4
 """Of a spline through positions: some minutes of rest between two motions, or so many a sample."""
@@ -88,6 +94,7 @@ class ArmLog:
         velocity: [rad/s] as the driver says; None where it does not.
         effort: [N·m] as the driver says, whatever its sign means.
         warnings: what was converted or is doubtful.
+        left_out: what torques and positions lack.
     """
 
     joints: tuple[str, ...]
@@ -95,6 +102,7 @@ class ArmLog:
     velocity: JointSamples | None
     effort: JointSamples
     warnings: tuple[str, ...]
+    left_out: tuple[LeftOut, ...] = ()
 
     @property
     def constant(self) -> NDArray[np.bool_]:
@@ -147,6 +155,8 @@ def read_arm_log(
     check_start(start_s, (last_ns - first_ns) * 1e-9)
     part = (-np.inf if start_s is None else start_s, np.inf if end_s is None else end_s)
     part, cut = _bounded(position, first_ns, part)
+    part, more = _busiest(position, first_ns, part)
+    cut += more
     try:
         positions = _fresh(position, arm, first_ns, part)
         if velocity is not None:
@@ -163,6 +173,7 @@ def read_arm_log(
         velocity=velocities,
         effort=efforts,
         warnings=(*remarks, *cut),
+        left_out=(LeftOut.of_signal(effort), LeftOut.of_signal(position)),
     )
 
 
@@ -193,6 +204,39 @@ def _bounded(
     if not words:
         return part, []
     return (float(seconds[keep[0]]), float(seconds[keep[-1]])), list(words)
+
+
+def _busiest(
+    position: Signal, first_ns: int, part: tuple[float, float]
+) -> tuple[tuple[float, float], list[str]]:
+    """The part of a long log in which the arm moves most, the first of such that are much alike.
+
+    Args:
+        position: of the joints.
+        first_ns: stamp of the log's first sample.
+        part: first and last time that count [s since `first_ns`].
+
+    Returns:
+        The same part, or one of `_LONGEST_S`, and words on that.
+    """
+    seconds = (position.stamps_ns - first_ns).astype(np.float64) * 1e-9
+    rows = np.flatnonzero((seconds >= part[0]) & (seconds <= part[1]))
+    seconds = seconds[rows]
+    if len(seconds) < _FEWEST_SAMPLES or seconds[-1] - seconds[0] <= _LONGEST_S:
+        return part, []
+    thinned = np.searchsorted(seconds, np.arange(seconds[0], seconds[-1], _LOOKED_AT_S))
+    steps = np.abs(np.diff(position.values[rows[thinned]], axis=0))
+    ways = np.concatenate([[0.0], np.cumsum(np.nansum(steps, axis=1))])
+    begins = np.arange(seconds[0], seconds[-1] - _LONGEST_S + _LOOKED_AT_S, _LONGEST_S / 10)
+    ends = np.minimum(np.searchsorted(seconds[thinned], begins + _LONGEST_S), len(ways) - 1)
+    moved = ways[ends] - ways[np.searchsorted(seconds[thinned], begins)]
+    begin = float(begins[np.argmax(moved >= _MUCH_ALIKE * moved.max())])
+    words = (
+        f"{seconds[-1] - seconds[0]:.0f} s are more than is fitted at once: the {_LONGEST_S:.0f} s "
+        f"from {begin:.0f} s on, where the arm moves most, are used; name others with --start and "
+        "--end"
+    )
+    return (begin, begin + _LONGEST_S), [words]
 
 
 def _checked_topic(episode: Episode, arm: Arm, topic: str) -> str:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
+from collections.abc import Sequence
 from pathlib import Path
+from typing import BinaryIO
 
-from analysis.payload.arm_card import ArmCard, arm_sha256, card_text, read_arm_card
+from analysis.payload.arm_card import MOST_CARD_BYTES, ArmCard, arm_sha256, card_in, card_text
 from analysis.payload.detection import PayloadDetection
 from analysis.payload.torque_terms import arm_terms
 from analysis.record import Tuning
-from analysis.result_files import replacing
-from tunenet_logs.errors import LogError, UsageError
+from tunenet_logs.errors import LogError
+from tunenet_logs.output.owned_file import OutputPlace
+from tunenet_logs.terminal import listed
 
 
 def save_arm_card(tuning: Tuning, path: Path, *, overwrite: bool) -> None:
@@ -42,25 +44,18 @@ def save_arm_card(tuning: Tuning, path: Path, *, overwrite: bool) -> None:
         arm_terms(detection.arm),
         detection.fit.learnt,
     )
-    if path.exists():
-        _check_own(path, card, overwrite=overwrite)
-    with replacing(path) as unfinished:
+    with card_place(path, card, overwrite=overwrite).replacing() as unfinished:
         unfinished.write_text(card_text(card), "utf-8", errors="backslashreplace")
 
 
-def _check_own(path: Path, card: ArmCard, *, overwrite: bool) -> None:
-    """Refuse to replace something else.
+def card_place(path: Path, card: ArmCard | None, *, overwrite: bool) -> OutputPlace:
+    """Where a card goes: over one of the same runs; any card's place where it is not known yet."""
 
-    Raises:
-        LogError: the file is no card, or one of other runs.
-    """
-    there = None
-    with suppress(UsageError):
-        there = read_arm_card(path)
-    if there is None:
-        raise LogError(f"{path}: exists, and is no card of an arm; choose another --save-arm-card")
-    if not overwrite and there.sha256s != card.sha256s:
-        raise LogError(
-            f"{path}: exists, and is a card of other runs; choose another --save-arm-card, or pass "
-            "--overwrite"
-        )
+    def knows(file: BinaryIO) -> Sequence[str] | None:
+        there = card_in(file.read(MOST_CARD_BYTES + 1), path.name)
+        is_same = card is None or there.sha256s == card.sha256s
+        return () if is_same else [run["log"] for run in there.runs]
+
+    runs = listed(run["log"] for run in card.runs) if card else ""
+    elsewhere = "choose another --save-arm-card"
+    return OutputPlace(path, "card", knows, runs, elsewhere, overwrite=overwrite)

@@ -33,6 +33,7 @@ from recorders.simulators.arm.payload import PAYLOAD_MASS, TOPIC, PayloadSimulat
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import LogError, NotFoundError
+from tunenet_logs.left_out import LeftOut
 from tunenet_logs.measured import measured
 from tunenet_logs.one_clock import jump_warnings, on_one_clock
 from tunenet_logs.reader import read_episode
@@ -171,6 +172,12 @@ class PayloadDetection:
     def topic(self) -> str:
         """Where the torques came from."""
         return self.log.effort.topic
+
+    @property
+    def left_out(self) -> tuple[LeftOut, ...]:
+        """What torques and positions lack, the tares' too."""
+        of_tares = (one for tare in self.tares for one in tare.log.left_out)
+        return (*self.log.left_out, *(one._replace(name=f"tare: {one.name}") for one in of_tares))
 
     @property
     def window(self) -> Mapping[str, float]:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from operator import eq
 
 import numpy as np
+from numpy.typing import NDArray
 
 from recorders.simulators.arm.description import Arm
 from tunenet_logs.arrays import Array
@@ -27,6 +28,9 @@ _SLACK_RAD = 0.3
 _MOST_TURNS = 2.1
 """An angle further beyond its joint's limits, or of more turns, is odd: calibration explains less,
 and few joints turn more than twice."""
+
+_DEGREES_SHARE = 1 / 3
+"""Of the joints that turn: as many have odd angles where they are in degrees."""
 
 _LIMIT_FACTOR, _FASTEST_RAD_S = 3.0, 15.0
 """A speed over this multiple of its joint's limit, or over this one, is odd: no arm reaches it."""
@@ -112,7 +116,7 @@ def _is_number(joint: str, name: str) -> bool:
 
 def _is_numbered(joint: str, name: str, before: str) -> bool:
     """Both names end in the same number, the column's with `before` (an expression) before it."""
-    number = re.search(r"\d+$", joint)
+    number = re.search(r"(?<![0-9])[0-9]{1,9}$", joint)
     if number is None or _NOT_OF_THE_ARM.search(name):
         return False
     return bool(re.search(rf"{before}0*{int(number[0])}$", name, re.I))
@@ -142,8 +146,9 @@ def in_newton_metres(effort: Signal, arm: Arm, constants: Sequence[float]) -> Si
 def in_radians(seconds: Array, values: Array, arm: Arm) -> tuple[Array, list[str]]:
     """Angles as the arm can have had them, and what was done to them in words.
 
-    Degrees give themselves away: as radians they are outside of the joints' limits, turn many
-    times, or faster than any arm does.
+    Degrees give themselves away: as radians many joints are outside of their limits, or turn many
+    times. A speed that no arm has tells nothing of the unit: wrong stamps give it, too, and so does
+    a second publisher; nor does one joint whose turns a driver counts.
 
     Args:
         seconds: times [s], shape (T,).
@@ -156,9 +161,21 @@ def in_radians(seconds: Array, values: Array, arm: Arm) -> tuple[Array, list[str
     turns = np.array([not joint.is_prismatic for joint in arm.joints])
     remarks: list[str] = []
     as_degrees = np.where(turns, np.radians(values), values)
-    if turns.any() and _oddities(seconds, as_degrees, arm) < _oddities(seconds, values, arm):
+    gone = _misplaced(values, arm) & ~_misplaced(as_degrees, arm)
+    if np.count_nonzero(gone) >= max(1, _DEGREES_SHARE * np.count_nonzero(turns)):
         values = as_degrees
         remarks.append("the joints' positions are in degrees: converted")
+    elif gone.any():
+        joint = arm.joints[int(gone.argmax())].name
+        remarks.append(
+            f"positions of {joint} are more than it turns, if they are rad, those of most joints "
+            "are not: taken as rad; if the driver gives degrees, convert them first"
+        )
+    elif np.count_nonzero(_too_fast(seconds, values, arm) & ~_too_fast(seconds, as_degrees, arm)):
+        remarks.append(
+            "joints are faster than any arm: bad stamps, two publishers on one topic, or degrees; "
+            "the positions are taken as rad"
+        )
     whole = np.where(turns, np.unwrap(values, period=_TURN_RAD, axis=0), values)
     if not np.allclose(whole, values):
         remarks.append("the joints' positions are cut to one turn: joined")
@@ -170,23 +187,27 @@ def in_radians(seconds: Array, values: Array, arm: Arm) -> tuple[Array, list[str
     return whole, remarks
 
 
-def _oddities(seconds: Array, values: Array, arm: Arm) -> int:
-    """In how many ways joints are where, or as fast as, none can be."""
+def _misplaced(values: Array, arm: Arm) -> NDArray[np.bool_]:
+    """Which joints are where none can be, shape (J,)."""
+    found: list[bool] = []
+    for joint, column in zip(arm.joints, values.T, strict=True):
+        low, high = joint.limits_rad
+        is_beyond = bool(np.abs(column).max() > _MOST_TURNS * _TURN_RAD)
+        if np.isfinite(high - low) and high - low < _TURN_RAD:
+            beyond = np.mod(column - low + _SLACK_RAD, _TURN_RAD) > high - low + 2 * _SLACK_RAD
+            is_beyond |= bool(np.mean(beyond) > _BEYOND_FRACTION)
+        found.append(is_beyond and not joint.is_prismatic)
+    return np.array(found)
+
+
+def _too_fast(seconds: Array, values: Array, arm: Arm) -> NDArray[np.bool_]:
+    """Which joints are faster than any is, shape (J,)."""
     steps = np.diff(values, axis=0)
     steps -= _TURN_RAD * np.round(steps / _TURN_RAD)
     speeds = np.quantile(np.abs(steps) / np.diff(seconds)[:, None], _FAST_QUANTILE, axis=0)
-    count = 0
-    for joint, speed, column in zip(arm.joints, speeds, values.T, strict=True):
-        if joint.is_prismatic:
-            continue
-        low, high = joint.limits_rad
-        if np.isfinite(high - low) and high - low < _TURN_RAD:
-            beyond = np.mod(column - low + _SLACK_RAD, _TURN_RAD) > high - low + 2 * _SLACK_RAD
-            count += int(np.mean(beyond) > _BEYOND_FRACTION)
-        fastest = min(_LIMIT_FACTOR * joint.max_velocity_rad_s, _FASTEST_RAD_S)
-        count += int(speed > fastest)
-        count += int(np.abs(column).max() > _MOST_TURNS * _TURN_RAD)
-    return count
+    fastest = [min(_LIMIT_FACTOR * one.max_velocity_rad_s, _FASTEST_RAD_S) for one in arm.joints]
+    turns = np.array([not joint.is_prismatic for joint in arm.joints])
+    return turns & (speeds > np.array(fastest))
 
 
 def even_clock(before: Array, seconds: Array) -> tuple[Array, float] | None:

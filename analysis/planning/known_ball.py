@@ -7,7 +7,7 @@ fitted to its bounces.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -16,6 +16,7 @@ import numpy as np
 from analysis.drop.bounce_model import SLOPE_SD
 from analysis.record import Interval, Record
 from analysis.record_json import read_record
+from analysis.result_files import Logs, logs_of
 from analysis.statistics import TWO_SIDED
 from recorders.simulators.balls import BALLS, contradict
 from recorders.simulators.drop import RESTITUTION
@@ -66,6 +67,7 @@ class KnownBall:
         drag_1_m: deceleration by the air over speed squared; None where only the rig's ball tells.
         drag_sd_1_m: its standard deviation; 0 where it is taken as told.
         name: of the ball, as it was recorded.
+        logs: that it was tuned from; see `logs_of`.
     """
 
     law: SpeedLaw
@@ -76,6 +78,7 @@ class KnownBall:
     drag_1_m: float | None = None
     drag_sd_1_m: float = 0.0
     name: str = ""
+    logs: Logs = field(default_factory=dict)
 
     @property
     def slope_sd(self) -> float:
@@ -129,7 +132,7 @@ def read_tuning(path: Path) -> KnownBall:
             "ball that bounced"
         )
     try:
-        ball = _ball_of(record)
+        ball = replace(_ball_of(record), logs=logs_of([record]))
     except ValueError as error:
         raise LogError(f"{path}: {error}; tune the log again") from error
     if record.verdict == "suspect":

@@ -11,6 +11,7 @@ from typing import Any
 from analysis.planning.known_ball import KnownBall, SlopeSource
 from analysis.planning.plan import BestShot, Plan
 from analysis.planning.replay import Replay
+from analysis.result_files import mark
 
 _SLOPE_SOURCES: Mapping[SlopeSource, str] = {
     "tuned": "tuned",
@@ -45,6 +46,7 @@ def plan_json(plan: Plan, replay: Replay | None) -> str:
         )
     ]
     content: dict[str, Any] = {
+        "made": mark("plan", plan.ball.logs),
         "task": "bounce-shot",
         "unit": "m",
         "ball": {

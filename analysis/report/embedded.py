@@ -46,13 +46,19 @@ def embedded(drawing: Drawing) -> DataUri:
 
 
 @styled
-def write_figure(figure: Figure, path: Path, kind: Kind) -> None:
+def write_figure(figure: Figure, path: Path, kind: Kind, made: str) -> None:
     """Write a figure for a paper.
+
+    Args:
+        figure: drawn.
+        path: where to.
+        kind: of file.
+        made: the mark by which it is known as ours.
 
     Raises:
         OSError: it cannot be written.
     """
-    metadata = {"Software": "tunenet-logs"} if kind == "png" else {"Creator": "tunenet-logs"}
+    metadata = {"Software": made} if kind == "png" else {"Creator": made}
     if kind == "pdf":
         metadata["CreationDate"] = None  # pyright: ignore[reportArgumentType] (leaves it out)
     figure.savefig(path, format=kind, dpi=_PAPER_DPI, metadata=metadata)

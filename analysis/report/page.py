@@ -20,10 +20,14 @@ from analysis.report.embedded import DataUri
 from analysis.report.meanings import NEXT
 from analysis.report.reported import Reported
 from analysis.report.section import TuningSection, section_of
+from analysis.result_files import logs_of, mark
 from analysis.terminal_table import interval_words
 from analysis.tuning_files import TuningFile
 from tunenet_logs import __version__
 from tunenet_logs.terminal import short_name
+
+PAGE, COMPARISON = "page", "comparison"
+"""Kinds of pages, as their marks have them."""
 
 _MOST_BYTES = 2_800_000
 """Of the figures and words of a page: under 3 MB, it goes through any mail."""
@@ -79,8 +83,10 @@ def report_page(reported: Reported) -> str:
     left -= _WORDS_BYTES * len(detailed)
     parts = [_part(one, number, left // len(detailed)) for number, one in enumerate(detailed, 1)]
     is_one = len(tunings) == 1 and not reported.campaigns
+    logs = logs_of(one.record for one in tunings)
     facts = parts[0].section.facts if is_one else _counts(tunings)
     return _rendered(
+        mark=Markup(mark(PAGE, logs)),  # noqa: S704 (letters, digits and signs that HTML lets be)
         title=tunings[0].label if is_one else reported.title or facts[0],
         facts=facts,
         overview=() if is_one else _overview(tunings, len(detailed)),
@@ -100,6 +106,7 @@ def comparison_page(comparison: Comparison) -> str:
     """The page of a comparison."""
     records = zip(comparison.labels, comparison.records, strict=True)
     return _rendered(
+        mark=Markup(mark(COMPARISON, logs_of(comparison.records))),  # noqa: S704 (as above)
         title=f"{len(comparison.labels)} tunings compared",
         facts=(),
         overview=[

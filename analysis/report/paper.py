@@ -7,14 +7,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from analysis.comparison import compare
-from analysis.output_files import check_output
 from analysis.report.compared_figures import comparison_drawings
 from analysis.report.drawn import drawings_of, reviewed
 from analysis.report.embedded import Kind, write_figure
 from analysis.report.style import Drawing
-from analysis.result_files import replacing
+from analysis.result_files import Logs, check_place, in_words, logs_of, mark, marked
 from analysis.tuning_files import TuningFile
 from tunenet_logs.errors import UsageError
+from tunenet_logs.output.owned_file import OutputPlace
+
+_FIGURE = "figure"
+"""As its mark has it."""
 
 _MOST_TUNINGS = 100
 """Whose figures are written to one folder at a time."""
@@ -27,7 +30,7 @@ class FigureOrder:
     Attributes:
         place: a file with the kind's suffix for the main figure, else a folder for all.
         inputs: files that are read, which nothing replaces.
-        overwrite: whether figures may be replaced.
+        overwrite: whether figures of other logs may be replaced.
     """
 
     place: Path
@@ -43,26 +46,38 @@ def write_figures(order: FigureOrder, tunings: Sequence[TuningFile]) -> list[Pat
         UsageError: there is nothing to draw, or it cannot be written.
         OSError: it cannot be written.
     """
-    suffix = f".{order.kind}"
+    suffix, option = f".{order.kind}", f"--{order.kind}"
     if len(tunings) > _MOST_TUNINGS:
         raise UsageError(f"{len(tunings)} tunings: draw at most {_MOST_TUNINGS} at a time")
-    if order.place.suffix.lower() == suffix and not order.place.is_dir():
-        files = {order.place: _main(order, tunings)}
+    logs = logs_of(one.record for one in tunings)
+
+    def checked(path: Path) -> OutputPlace:
+        place = figure_place(path, order.kind, logs, overwrite=order.overwrite)
+        check_place(place, option, (suffix,), order.inputs)
+        return place
+
+    is_folder = order.place.is_dir() and not order.place.is_symlink()
+    if order.place.suffix.lower() == suffix and not is_folder:
+        files = [(checked(order.place), _main(order, tunings))]
     else:
-        files = {order.place / f"{name}{suffix}": one for name, one in _all(tunings).items()}
+        drawn = _all(tunings)
         if order.place.suffix and not order.place.is_dir():
-            option = f"--{order.kind}"
             raise UsageError(f"{order.place}: give {option} a folder, or a name that ends {suffix}")
-        if not files:
+        if not drawn:
             raise UsageError(f"{order.place}: these tunings have nothing to draw")
         order.place.mkdir(exist_ok=True)
-    for path in files:
-        option = f"--{order.kind}"
-        check_output(path, option, (suffix,), order.inputs, overwrite=order.overwrite)
-    for path, drawing in files.items():
-        with replacing(path) as partial:
-            write_figure(drawing.figure, partial, order.kind)
-    return list(files)
+        files = [(checked(order.place / f"{name}{suffix}"), one) for name, one in drawn.items()]
+    for place, drawing in files:
+        with place.replacing() as partial:
+            write_figure(drawing.figure, partial, order.kind, mark(_FIGURE, logs))
+    return [place.path for place, _ in files]
+
+
+def figure_place(path: Path, kind: Kind, logs: Logs, *, overwrite: bool) -> OutputPlace:
+    """Where a figure of some logs goes."""
+    knows = marked(kind, _FIGURE, logs)
+    elsewhere = f"give --{kind} another file"
+    return OutputPlace(path, "figure", knows, in_words(logs), elsewhere, overwrite=overwrite)
 
 
 def _main(order: FigureOrder, tunings: Sequence[TuningFile]) -> Drawing:

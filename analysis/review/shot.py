@@ -14,6 +14,7 @@ import rerun.blueprint as rrb
 
 from analysis.planning.plan import Plan
 from analysis.planning.plan_report import ball_lines, best_lines
+from analysis.result_files import subject_of
 from analysis.review.drawing import (
     GROUND,
     MUTED,
@@ -50,7 +51,7 @@ def write_shots(plan: Plan, path: Path) -> None:
         OSError: `path` cannot be written.
     """
     shown = f"{plan.rig} {plan.ball.law}".encode() + plan.heights_m.tobytes()
-    identity = hashlib.sha256(shown).hexdigest()[:16]
+    identity = subject_of(plan.ball.logs) + hashlib.sha256(shown).hexdigest()[:16]
     stream = rr.RecordingStream(application_id("shot"), recording_id=identity)
     memory = stream.memory_recording()
     stream.send_recording_name("bounce shot")

@@ -3,48 +3,107 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis.sysid.compared import noise_of
 from tunenet_logs.arrays import Array
 
 _SECONDS, _MOST_SAMPLES, _LEAST_SAMPLES = 0.12, 40, 4
+_SHRINKS = 0.7  # to this share, a window that a parabola misses
+_MISSES = 2.0  # standard deviations of noise, from which on it does
 _CAUTION = 3.0
 """What the priors are wider by than the noise alone says: speeds change in the first samples."""
 
 _STAYS_S, _SCATTERS = 0.5, 2.0
 """For how long what begins at rest is looked at, and how much it may scatter, in its noise."""
 
-Samples = tuple[Array, Array]
+Samples = tuple[NDArray[np.int64], Array]
 """Stamps [ns] and values."""
 
 
 def beginning(
-    positions: Samples | None, speeds: Samples | None, stamp_ns: int
+    positions: Samples | None,
+    speeds: Samples | None,
+    stamp_ns: int,
+    noise: float | None = None,
 ) -> tuple[tuple[float, float], tuple[float, float], bool] | None:
     """Position and speed at a stamp, their standard deviations, and whether a position was seen.
 
-    One parabola goes through the first positions and, as its slope, through the first speeds.
+    One parabola goes through the first positions and, as its slope, through the first speeds. Their
+    window shrinks until it meets them; the standard deviations own what it misses of the shortest,
+    and what speeds are off that positions contradict.
+
+    Args:
+        positions: None where none were seen.
+        speeds: likewise.
+        stamp_ns: when.
+        noise: standard deviation of the samples' noise; None for what their differences tell.
     """
+    at_s: list[Array] = []
     rows: list[Array] = []
     values: list[Array] = []
-    for samples, row_of in (
-        (positions, lambda t: np.column_stack([np.ones_like(t), t, t**2 / 2])),
-        (speeds, lambda t: np.column_stack([np.zeros_like(t), np.ones_like(t), t])),
-    ):
+    for order, samples in enumerate((positions, speeds)):
         if samples is None or len(samples[0]) < _LEAST_SAMPLES:
             continue
-        at_s = (samples[0] - stamp_ns) * 1e-9
-        count = int(np.clip(np.sum(at_s <= _SECONDS), _LEAST_SAMPLES, _MOST_SAMPLES))
-        noise = max(noise_of(samples[1]), 1e-9)
-        rows.append(row_of(at_s[:count]) / noise)
-        values.append(samples[1][:count] / noise)
+        seconds = 1e-9 * (samples[0][:_MOST_SAMPLES] - stamp_ns).astype(np.float64)
+        count = max(int(np.sum(seconds <= _SECONDS)), _LEAST_SAMPLES)
+        scatter = max(noise_of(samples[1]) if noise is None else noise, 1e-9)
+        at_s.append(seconds[:count])
+        rows.append(_terms(seconds[:count], order) / scatter)
+        values.append(samples[1][:count] / scatter)
     if not rows:
         return None
-    matrix, wanted = np.concatenate(rows), np.concatenate(values)
-    inverse = np.linalg.pinv(matrix.T @ matrix)
-    found = inverse @ (matrix.T @ wanted)
-    sds = _CAUTION * np.sqrt(np.maximum(np.diag(inverse), 0.0))
-    return (float(found[0]), float(found[1])), (float(sds[0]), float(sds[1])), positions is not None
+    window_s = max(float(seconds[-1]) for seconds in at_s)
+    counts = [len(seconds) for seconds in at_s]
+    while True:
+        found, sds, misfit = _parabola(
+            np.concatenate([row[:count] for row, count in zip(rows, counts, strict=True)]),
+            np.concatenate([value[:count] for value, count in zip(values, counts, strict=True)]),
+        )
+        window_s *= _SHRINKS
+        fewer = [max(int(np.sum(seconds <= window_s)), 1) for seconds in at_s]
+        if misfit <= 1 or max(fewer) < _LEAST_SAMPLES:
+            break
+        counts = fewer
+    sds = sds * max(misfit, 1.0)
+    if len(at_s) == 2 and (alone := beginning(positions, None, stamp_ns, noise)):
+        (_, slope), (_, slope_sd), _ = alone
+        if abs(slope - found[1]) > _MISSES * slope_sd:  # such as speeds that a driver filters
+            sds[1] = max(sds[1], abs(slope - found[1]))
+    knows_position = positions is not None and len(positions[0]) >= _LEAST_SAMPLES
+    return (float(found[0]), float(found[1])), (float(sds[0]), float(sds[1])), knows_position
+
+
+def _terms(at_s: Array, order: int) -> Array:
+    """Rows of 1, t, t²/2, t³/6 and t⁴/24, or of their slopes (order 1), shape (T, 5)."""
+    terms = [np.ones_like(at_s), at_s, at_s**2 / 2, at_s**3 / 6, at_s**4 / 24]
+    return np.column_stack([np.zeros_like(at_s), *terms[:4]] if order else terms)
+
+
+def _parabola(rows: Array, values: Array) -> tuple[Array, Array, float]:
+    """Fit a parabola by least squares, to rows of terms, shape (T, 5), in units of noise.
+
+    Returns:
+        Its value and slope at 0; how sure they are; and how far what it misses is beyond noise, as
+        a share: by its residuals, or by what either of the next two terms would add, which moves
+        the slope most.
+    """
+    scales = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
+    first = int(not rows[:, 0].any())  # speeds alone tell no position
+    axes, triangle = np.linalg.qr((rows / scales)[:, first:])
+    told, own = axes.T @ values, slice(3 - first)
+    inverse = np.linalg.pinv(triangle[own, own])
+    off = values - axes[:, own] @ told[own]
+    left = float(np.linalg.norm(off)) / np.sqrt(max(len(off) - 3, 1))
+    misfit = max(left, float(np.abs(told[3 - first : 5 - first]).max())) / _MISSES
+    by_next = triangle[3 - first, 3 - first]
+    follows = inverse @ triangle[own, 3 - first] / np.where(by_next, by_next, np.inf)
+    plain = np.linalg.norm(inverse, axis=1)
+    sds = np.maximum(_CAUTION * plain, np.hypot(plain, follows))
+    both = np.zeros((2, 3))
+    both[:, first:] = inverse @ told[own], sds
+    found, sds = both[:, :2] / scales[:2]
+    return found, sds, misfit
 
 
 def stays(samples: Samples | None, stamp_ns: int) -> bool:

@@ -9,7 +9,9 @@ from analysis.sysid.advice import excitation
 from analysis.sysid.compared import ComparedColumns, noise_of
 from analysis.sysid.fit import SimulatorFit
 from recorders.simulators.base import Parameter
+from recorders.simulators.mujoco.model_simulator import STOPPED
 from tunenet_logs.arrays import Array
+from tunenet_logs.episode import Episode
 from tunenet_logs.terminal import listed
 
 _MOVES = 3.0
@@ -49,6 +51,20 @@ def recording_checks(target: ComparedColumns) -> tuple[Check, ...]:
     )
     advice = "record while it moves"
     return (Check("it moves", ratios[best] >= _MOVES, detail, fatal=True, advice=advice),)
+
+
+def whole_check(rollout: Episode) -> Check | None:
+    """Whether a model's rollout came to its end; None of a simulator that does not tell."""
+    stopped = rollout.info.notes.get(STOPPED)
+    if stopped is None:
+        return None
+    return Check(
+        "simulation is whole",
+        not stopped,
+        stopped or "MuJoCo warns of nothing",
+        fatal=True,
+        advice="give the model a shorter timestep, more <size memory>, or other ranges with --tune",
+    )
 
 
 def match_check(target: ComparedColumns, residuals: Array) -> Check:

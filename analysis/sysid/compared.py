@@ -161,12 +161,11 @@ def _column(observed: Episode, name: str, column: str, start_ns: int) -> Column:
     signal = observed.signals[name]
     values = signal.values[:, signal.columns.index(column)]
     good = np.flatnonzero(np.isfinite(values))
-    good = good[:: len(good) // _MOST_SAMPLES + 1]
-    seconds = (signal.stamps_ns[good] - start_ns) * 1e-9
+    noise = noise_of(values[good])
+    spread = float(np.std(values[good])) if len(good) else 0.0
+    good = good[:: max(-(-len(good) // _MOST_SAMPLES), 1)]
     seconds = 1e-9 * (signal.stamps_ns[good] - start_ns).astype(np.float64)
-    return Column(
-        name, column, signal.unit, seconds, values, noise_of(values), float(np.std(values))
-    )
+    return Column(name, column, signal.unit, seconds, values[good], noise, spread)
 
 
 def noise_of(values: Array) -> float:

@@ -14,11 +14,12 @@ from analysis.experiment import Claim, Preset
 from analysis.motion import Motion
 from analysis.record import Rebound
 from analysis.selection import Selection, Subject
-from analysis.sysid.checks import fit_checks, match_check, recording_checks
+from analysis.sysid.checks import fit_checks, match_check, recording_checks, whole_check
 from analysis.sysid.problem import SimulatorProblem
 from analysis.sysid.source import Connected, SimulatorSource, part_of
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
+from tunenet_logs.left_out import LeftOut
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -35,11 +36,13 @@ class SimulatorDetection:
         source: where the simulator comes from.
         connected: it, driven as the log was.
         offset_s: from the log's first sample to the first that is compared.
+        left_out: what each signal lacks that is compared.
     """
 
     source: SimulatorSource
     connected: Connected
     offset_s: float
+    left_out: tuple[LeftOut, ...] = ()
 
     @property
     def topic(self) -> str:
@@ -99,7 +102,9 @@ class SimulatorExperiment:
         connected = self.source.connect(part)
         first_ns = min(int(one.stamps_ns[0]) for one in episode.signals.values())
         offset_s = (connected.target.start_ns - first_ns) * 1e-9
-        return SimulatorDetection(self.source, connected, offset_s)
+        names = {column.signal for column in connected.target.columns}
+        lacking = tuple(LeftOut.of_signal(episode.signals[name]) for name in sorted(names))
+        return SimulatorDetection(self.source, connected, offset_s, lacking)
 
     def problem(self, detection: SimulatorDetection, initial: Array) -> Problem:
         """Least squares by rollouts; see `Experiment.problem`."""
@@ -112,7 +117,9 @@ class SimulatorExperiment:
         assert last.evaluation is not None
         target = detection.connected.target
         residuals = target.seen_in(last.evaluation.episode) - target.values
-        checks = (*recording_checks(target), match_check(target, residuals))
+        whole = whole_check(last.evaluation.episode)
+        checks = (*recording_checks(target), *([whole] if whole else []))
+        checks = (*checks, match_check(target, residuals))
         return (*checks, *fit_checks(fit.detail)) if fit else checks
 
     def cross_check(self, detection: SimulatorDetection, estimate: Array) -> CrossCheck | None:

@@ -134,7 +134,7 @@ def _shown(
 def _samples(sensed: SensedSignal, column: str) -> Samples:
     values = sensed.signal.values[:, sensed.signal.columns.index(column)]
     good = np.isfinite(values)
-    return sensed.signal.stamps_ns[good].astype(np.float64), values[good]
+    return sensed.signal.stamps_ns[good], values[good]
 
 
 def _unsure(name: str, unit: str, value: float, sd: float) -> Parameter:

@@ -8,12 +8,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from analysis.sysid.beginning import beginning
+from analysis.sysid.compared import noise_of
 from analysis.sysid.orientations import rotations
 from recorders.simulators.mujoco.model_sensors import SensedSignal
 from tunenet_logs.arrays import Array
 
-_MOST_RAD = 1.0
-"""Turned since the first sample: beyond it, a rotation vector is no smooth way."""
+_MOST_RAD = 2.5  # turned since the first sample: a rotation vector jumps at a half turn
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,12 @@ def initial_turn(sensed: SensedSignal, stamp_ns: int) -> InitialTurn | None:
     since_first = (turns[0].inv() * turns).as_rotvec()
     is_far = np.linalg.norm(since_first, axis=1) > _MOST_RAD
     count = int(np.argmax(is_far)) if is_far.any() else len(is_far)
-    stamps = sensed.signal.stamps_ns[good][:count].astype(np.float64)
-    parts = [beginning((stamps, since_first[:count, axis]), None, stamp_ns) for axis in range(3)]
+    stamps = sensed.signal.stamps_ns[good][:count]
+    # of a rotation, three numbers; of the two axes, six, each moved by two thirds of its variance
+    noise = float(np.sqrt(1.5 * np.mean([noise_of(column) ** 2 for column in values[good].T])))
+    parts = [
+        beginning((stamps, since_first[:count, axis]), None, stamp_ns, noise) for axis in range(3)
+    ]
     known = [one for one in parts if one is not None]
     if len(known) < 3:
         return None

@@ -18,6 +18,7 @@ from tunenet_logs.errors import UsageError
 
 if TYPE_CHECKING:
     from recorders.simulators.mujoco.model_parameters import ModelParameter
+    from recorders.simulators.mujoco.model_process import ModelProcess
 
 _UNRESOLVED_STEPS = 0.2
 """Of a delay, one standard deviation: a command that comes within a step is spread over it."""
@@ -185,7 +186,13 @@ class ModelSource:
         """The model, as its file has it."""
         from recorders.simulators.mujoco.model_file import read_model
 
-        return read_model(self.path)
+        return read_model(self.path, process=self._process)
+
+    @cached_property
+    def _process(self) -> ModelProcess:
+        from recorders.simulators.mujoco.model_process import ModelProcess
+
+        return ModelProcess(self.path)
 
     @cached_property
     def model(self) -> Any:
@@ -226,6 +233,7 @@ class ModelSource:
             tuple(match.drives),
             state,
             end_ns,
+            self._process,
         )
         rollout = simulator.rollout({})
         seen = {one.signal.name: one.signal for one in match.sensed}
@@ -238,7 +246,7 @@ class ModelSource:
             {DELAY: _UNRESOLVED_STEPS / simulator.step_hz},
             tuple(match.used),
             tuple(match.unused),
-            doubts(match.sensed, rollout),
+            (*match.joined, *doubts(match.sensed, rollout)),
         )
 
 

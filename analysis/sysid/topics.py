@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis.sysid.names import is_wanted, named_as, quantity_of, topic_of
 from analysis.sysid.orientations import Turned, why_not
@@ -38,6 +39,9 @@ _FEW = 6
 _MANY_SIDED = (0, 1)
 """Kinds of joints, free and ball, whose position is no number."""
 
+_TURN_RAD, _TURN_SLACK_RAD = 2 * np.pi, 0.05
+_FASTER = 2.0  # than it is elsewhere, that a joint may be where its angle is cut to one turn
+
 
 @dataclass(eq=False)
 class Match:
@@ -49,6 +53,7 @@ class Match:
         used: each signal that is used, and as what, in words.
         unused: each that is not, and why.
         turned: orientations, which are compared where the model begins as they do.
+        joined: angles of joints that were cut to one turn, in words.
     """
 
     sensed: list[SensedSignal] = field(default_factory=list)
@@ -56,6 +61,7 @@ class Match:
     used: list[str] = field(default_factory=list)
     unused: list[str] = field(default_factory=list)
     turned: list[Turned] = field(default_factory=list)
+    joined: list[str] = field(default_factory=list)
 
     def choose_turned(self, model: Any, qpos: Array) -> None:
         """Compare those of `turned` that the model begins with, too, at `qpos`, shape (nq,)."""
@@ -156,7 +162,26 @@ class _Matching:
             return
         sensors = tuple(Sensor(kind, joint) for _, _, joint in columns)
         names = tuple(column for _, column, _ in columns)
+        if kind == "jointpos":
+            signal = self._joined(signal, columns)
         self._sense(SensedSignal(signal, names, sensors))
+
+    def _joined(self, signal: Signal, columns: list[tuple[int, str, str]]) -> Signal:
+        """Join angles of hinges without limits, where they are cut to one turn."""
+        values, cut = signal.values.copy(), []
+        for place, column, joint in columns:
+            number = self._names["joint"].index(joint)
+            is_hinge = self._model.jnt_type[number] == int(mujoco().mjtJoint.mjJNT_HINGE)
+            if is_hinge and not self._model.jnt_limited[number]:
+                good = np.isfinite(values[:, place])
+                whole = joined_turns(signal.stamps_ns[good], values[good, place])
+                if whole is not None:
+                    values[good, place] = whole
+                    cut.append(column)
+        if not cut:
+            return signal
+        self._found.joined.append(f"{signal.name}: {listed(cut, _FEW)}: cut to one turn: joined")
+        return replace(signal, values=values)
 
     def _why_not(self, signal: Signal, place: int, joint: str | None) -> str:
         """Why a column of states is no joint's; "" where it is one's."""
@@ -331,6 +356,24 @@ class _Matching:
             f"bodies {bodies or 'none'})",
             "say what is what with --map SIGNAL.COLUMN=joint/NAME or --map TOPIC=body/NAME",
         )
+
+
+def joined_turns(stamps_ns: NDArray[np.int64], angles: Array) -> Array | None:
+    """Join angles that were cut to one turn, such as at ±π; None where they were not.
+
+    They were where all lie within one turn, some jump by most of one, and the joint, a turn added
+    there, is mostly as fast as elsewhere: glitches and steps are faster.
+
+    Args:
+        stamps_ns: shape (T,), increasing.
+        angles: finite, shape (T,) [rad].
+    """
+    is_cut = np.abs(np.diff(angles)) > _TURN_RAD / 2
+    if not is_cut.any() or is_cut.all() or np.ptp(angles) > _TURN_RAD + _TURN_SLACK_RAD:
+        return None
+    whole = np.unwrap(angles)
+    speeds = np.abs(np.diff(whole)) / np.diff(stamps_ns)
+    return whole if np.median(speeds[is_cut]) <= _FASTER * speeds[~is_cut].max() else None
 
 
 def _quantity(signal: Signal) -> str:

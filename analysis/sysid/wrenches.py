@@ -20,7 +20,7 @@ from tunenet_logs.errors import UsageError
 from tunenet_logs.terminal import short_name
 
 _KINDS: dict[str, Kind] = {"N": "force", "N·m": "torque"}
-_QUANTITY = re.compile(r"[_\W]*(force|torque)[_\W]*")
+_QUANTITY = re.compile(r"(?:(?<![_\W])[_\W]++)?(force|torque)[_\W]*")
 """In a sensor's name: a model has one for each of the two."""
 
 _FIRST_NS = 100_000_000

@@ -42,6 +42,7 @@ class Pictures:
         size_px: (width, height) before reduction, as most of the pictures claim it.
         scale: by which they are reduced, a whole number.
         other_size: number of pictures of another size than most, left out.
+        not_later: number of those that are stamped no later than the one before, left out.
         opened: number of pictures of the topic that can be read, in the part selected or not.
         jumps: where the clock jumps, in words; what lies beyond is left out. Empty if nowhere.
         damaged: number of pictures that could not be decoded and are left out.
@@ -119,7 +120,7 @@ class Pictures:
         self.size_px, self.scale = usual or (1, 1), _scale_of(usual or (1, 1))
         self.start_ns = 0
         self.length_s = 0.0
-        self.damaged = self.opened = self.other_size = 0
+        self.damaged = self.opened = self.other_size = self.not_later = 0
         self._film = begin_film(self._episode, self._topic, is_part=self._span_ns is not None)
         self._kept: list[int] = []
         self._why = ""
@@ -141,7 +142,9 @@ class Pictures:
                 continue
             if picture is None:
                 self.other_size += 1
-            elif not stamps or frame.stamp_ns > stamps[-1]:
+            elif stamps and frame.stamp_ns <= stamps[-1]:
+                self.not_later += 1
+            else:
                 samples.add(picture)
                 self._film.keep(index, frame, picture)
                 stamps.append(frame.stamp_ns)

@@ -4,23 +4,31 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import as_file, files
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 from safetensors.numpy import save
 
-from analysis.result_files import replacing
 from analysis.tunenet.network import NETWORKS, Model, Scaling
 from analysis.tunenet.weights_file import REMEDY, in_one_order, read_weights_file
-from tunenet_logs.errors import WeightsError
+from tunenet_logs.errors import LogError, WeightsError
+from tunenet_logs.output.owned_file import OutputPlace
 from tunenet_logs.small_files import parse_json
 from tunenet_logs.terminal import one_line, short_name
 
 FORMAT = "tunenet-weights/1"
+_HEADER = re.compile(
+    rb'.{8}\{[^{]{0,40000}"__metadata__": ?\{[^}]{0,40000}"format": ?"tunenet-weights/', re.DOTALL
+)
+_HEADER_BYTES = 65536
+"""How a file of ours begins, and in how many bytes that shows."""
+
 _MOST_RATES, _MOST_HZ = 100, 1e6
 """Sampling rates of one network, and the highest."""
 
@@ -52,7 +60,7 @@ def save_model(path: Path, model: Model, purpose: Purpose, notes: Mapping[str, s
     """Write atomically; returns the digest.
 
     Args:
-        path: the file; replaced if it exists.
+        path: the file; other weights there are replaced.
         model: what to save; its own digest is ignored.
         purpose: what it was trained for.
         notes: how it was trained, in words; part of the digest.
@@ -65,11 +73,22 @@ def save_model(path: Path, model: Model, purpose: Purpose, notes: Mapping[str, s
     header = {"format": FORMAT, "network": model.network.kind, **_strings(purpose), **notes}
     header["digest"] = _digest(tensors, header)
     try:
-        with replacing(path) as partial:
+        with weights_place(path).replacing() as partial:
             partial.write_bytes(in_one_order(save(tensors, header)))
+    except LogError as error:
+        raise WeightsError(str(error)) from error
     except OSError as error:
         raise WeightsError(f"{path}: cannot be written ({error.strerror})") from error
     return header["digest"]
+
+
+def weights_place(path: Path) -> OutputPlace:
+    """Where weights go: over others, and over nothing else."""
+
+    def knows(file: BinaryIO) -> Sequence[str] | None:
+        return () if _HEADER.match(file.read(_HEADER_BYTES)) else None
+
+    return OutputPlace(path, "file of weights", knows)
 
 
 def shipped_model(purpose: Purpose) -> Model:

@@ -6,12 +6,12 @@ import string
 from http.client import HTTPConnection, HTTPResponse
 from urllib.parse import SplitResult, quote, urljoin, urlsplit, urlunsplit
 
-from recorders.camera.address import Address
 from recorders.camera.connection import PASSING, answering, connect, sent_on
 from recorders.camera.login import Login
 from recorders.camera.tls import Trust
 from recorders.closing import closed_on_failure
 from recorders.deadline import Deadline
+from tunenet_logs.addresses import Address
 from tunenet_logs.errors import CameraAwayError, CameraError
 from tunenet_logs.terminal import short_name
 
@@ -40,7 +40,6 @@ class HttpCamera:
         self._first = urlsplit(address.url)
         self._trust = trust
         self._login = Login.of(address)
-        self._has_password = bool(address.user or address.password)
 
     def answer(self, url: str, deadline: Deadline) -> HTTPResponse:
         """What the host answers with 200 (or another 2xx), its body still to be read.
@@ -95,7 +94,9 @@ class HttpCamera:
         """Take a place apart where it is of the host; elsewhere nothing is asked."""
         parts = urlsplit(url)
         is_there = parts.scheme in ("http", "https") and parts.hostname == self._first.hostname
-        is_weaker = self._first.scheme == "https" and parts.scheme == "http" and self._has_password
+        is_weaker = (
+            self._first.scheme == "https" and parts.scheme == "http" and self._login.is_known
+        )
         if not is_there or is_weaker:
             raise sent_on(url, ("http", "https"))
         return parts

@@ -6,7 +6,6 @@ import math
 import re
 from http.client import HTTPException, HTTPResponse
 
-from recorders.camera.address import Address
 from recorders.camera.base import Source
 from recorders.camera.byte_stream import stream_of
 from recorders.camera.connection import OPENING_S, answering
@@ -18,6 +17,7 @@ from recorders.camera.timed_feed import TimedFeed
 from recorders.camera.tls import Trust
 from recorders.closing import closed_on_failure
 from recorders.deadline import Deadline
+from tunenet_logs.addresses import Address
 from tunenet_logs.errors import CameraError
 
 _BOUNDARY = re.compile(r'boundary\s*=\s*(?:"([^"]*)"|([^;\s]*))', re.IGNORECASE)

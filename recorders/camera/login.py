@@ -9,9 +9,11 @@ from base64 import b64encode
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
+from urllib.parse import urlsplit
 
-from recorders.camera.address import Address
+from tunenet_logs.addresses import Address
 from tunenet_logs.errors import CameraError, UsageError
+from tunenet_logs.passwords import netrc_login
 from tunenet_logs.terminal import listed, short_name
 
 _LONGEST_HEADER = 4000
@@ -71,24 +73,34 @@ class Login:
 
     Args:
         user, password: "" for none.
+        trouble: why none is known, where there is a reason.
 
     Raises:
         UsageError: they hold what would end the line in which they are sent.
     """
 
-    def __init__(self, user: str, password: str) -> None:
+    def __init__(self, user: str, password: str, trouble: str = "") -> None:
         if not f"{user}{password}".isprintable():
             raise UsageError("--camera: a user or password has characters that nobody can type")
         self._user = user
         self._password = password
+        self._trouble = trouble
         self._challenge: _Challenge | None = None
         self._own_nonce = ""
         self._uses = 0
 
     @classmethod
     def of(cls, address: Address) -> Login:
-        """The login that an address names."""
-        return cls(address.user, address.password)
+        """The login that an address names, else that of its host in `~/.netrc`."""
+        if address.password is not None:
+            return cls(address.user, address.password)
+        known = netrc_login(urlsplit(address.url).hostname or "", address.user)
+        return cls(known.user, known.password, known.trouble)
+
+    @property
+    def is_known(self) -> bool:
+        """Whether there is something to log in with."""
+        return bool(self._user or self._password)
 
     def header(self, method: str, uri: str) -> str | None:
         """The `Authorization` of a request; None before a server has asked for one."""
@@ -109,8 +121,12 @@ class Login:
             CameraError: no login was named, it asks for none that is known, or it has refused the
                 right answer to what it asked before.
         """
-        if not self._user and not self._password:
-            raise CameraError("wants a password (401); put user:password@ before the host")
+        if not self.is_known:
+            why = f": {self._trouble}" if self._trouble else ""
+            raise CameraError(
+                f"wants a password (401{why}); put USER@ before the host, and the password into "
+                "~/.netrc or a file of its own (--password-file)"
+            )
         offers = list(_offers(challenges))
         best = max(offers, key=lambda offer: offer.strength, default=None)
         if best is None or not best.strength:
@@ -120,7 +136,8 @@ class Login:
                 "SHA-256 of the request (qop auth)"
             )
         if self._uses == 1 and best.values.get("stale", "").lower() != "true":
-            raise CameraError("refuses this user and password (401); check both")
+            why = f": {self._trouble}" if self._trouble else ""
+            raise CameraError(f"refuses this user and password (401{why}); check both")
         self._challenge = best
         self._own_nonce = secrets.token_hex(8)
         self._uses = 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,6 +17,7 @@ from tunenet_logs.errors import UsageError
 from tunenet_logs.terminal import Progress
 
 if TYPE_CHECKING:
+    from recorders.camera.network_options import NetworkOptions
     from recorders.camera.preview import Preview
     from recorders.microphone.live_sound import LiveSound
 
@@ -50,6 +52,14 @@ def camera_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
             choices=["camera", "arrival"],
             help="when a live camera's pictures were taken: as it tells, else by the even clock "
             "behind their arrivals (default); or when they arrived",
+        ),
+        add(
+            "--password-file",
+            type=Path,
+            metavar="FILE",
+            help="whose one line is the password of the user whom an http or rtsp address names "
+            "(rtsp://USER@HOST/...), for that host alone (default: TUNENET_CAMERA_PASSWORD, then "
+            "~/.netrc)",
         ),
         add(
             "--fingerprint",
@@ -148,10 +158,8 @@ def _recorded(
 ) -> str:
     from recorders.camera.capture import Limits, record_camera
     from recorders.camera.lasting import lasting_camera
-    from recorders.camera.network_options import NetworkOptions, Transport
     from recorders.camera.settings import Settings
-    from recorders.camera.sources import is_asked_again, open_source
-    from recorders.camera.tls import Trust
+    from recorders.camera.sources import is_asked_again, open_source, shows_password
     from tunenet_logs.episode import EpisodeInfo
     from tunenet_logs.output.log_place import check_log_name
 
@@ -186,10 +194,7 @@ def _recorded(
         settings=settings,
         filmed_hz=arguments.fps,
         timeout_s=limits.stall_s,
-        network=NetworkOptions(
-            Trust.of(arguments.fingerprint, bool(arguments.insecure)),
-            Transport(arguments.rtsp_transport) if arguments.rtsp_transport else None,
-        ),
+        network=_network(arguments, progress),
         transcode=bool(arguments.transcode),
     )
     if is_asked_again(arguments.camera):
@@ -201,6 +206,11 @@ def _recorded(
         raise UsageError("--wait is for a camera in a network; leave it out")
     else:
         source = open_camera()
+    if shows_password(arguments.camera):
+        progress.say(
+            "tunenet-record: the password in the address shows in the list of processes (ps); "
+            "write it into a file for --password-file, or into ~/.netrc"
+        )
     with _preview(arguments, source.live) as preview:
         summary = record_camera(
             source,
@@ -213,6 +223,31 @@ def _recorded(
             microphone=microphone,
         )
     return f"{source.name}; {summary.in_words('frames')}"
+
+
+def _network(arguments: argparse.Namespace, progress: Progress) -> NetworkOptions:
+    """How a camera in a network is asked, with its password."""
+    from recorders.camera.network_options import (
+        PASSWORD_OPTION,
+        PASSWORD_VARIABLE,
+        NetworkOptions,
+        Transport,
+    )
+    from recorders.camera.tls import Trust
+    from tunenet_logs.passwords import read_password
+
+    file = arguments.password_file
+    password = os.environ.get(PASSWORD_VARIABLE) or None
+    if file is not None:
+        password, is_public = read_password(file, PASSWORD_OPTION)
+        if is_public:
+            progress.say(f"tunenet-record: {file}: others can read this password; chmod 600 {file}")
+    return NetworkOptions(
+        Trust.of(arguments.fingerprint, bool(arguments.insecure)),
+        Transport(arguments.rtsp_transport) if arguments.rtsp_transport else None,
+        password,
+        must_serve=file is not None,
+    )
 
 
 def _ball(arguments: argparse.Namespace) -> Ball:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from recorders.camera.address import Address
+from recorders.camera.address import camera_address
 from recorders.camera.base import Source
 from recorders.camera.byte_stream import stream_of
 from recorders.camera.connection import OPENING_S, answering
@@ -19,7 +19,7 @@ def open_tcp(text: str, timeout_s: float) -> Source:
     Raises:
         UsageError, CameraError: see `TcpFeed` and `stream_of`.
     """
-    address, deadline = Address.of(text), _opening(timeout_s)
+    address, deadline = camera_address(text), _opening(timeout_s)
     with answering(address.shown, deadline):
         feed = TcpFeed(address, deadline)
     return _stream(feed, address.shown, deadline, timeout_s)

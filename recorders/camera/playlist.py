@@ -13,7 +13,7 @@ _MOST_PIECES = 20_000
 """Of a playlist: half a day of them."""
 
 _DEFAULT_TARGET_S, _LONGEST_TARGET_S = 10.0, 600.0
-_ATTRIBUTE = re.compile(r'([A-Z0-9-]+)=("[^"]*"|[^",]*)')
+_ATTRIBUTE = re.compile(r'(?<![A-Z0-9-])([A-Z0-9-]++)=("[^"]*"|[^",]*)')
 _SECONDS = re.compile(r"\s*(\d{1,6}(?:\.\d{1,6})?)")
 
 

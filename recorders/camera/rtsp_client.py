@@ -8,7 +8,6 @@ import time
 from contextlib import suppress
 from urllib.parse import urlsplit
 
-from recorders.camera.address import Address
 from recorders.camera.connection import connect
 from recorders.camera.login import Login
 from recorders.camera.network_options import Transport
@@ -19,6 +18,7 @@ from recorders.camera.sdp import Description
 from recorders.camera.tls import Trust
 from recorders.closing import closed_on_failure
 from recorders.deadline import Deadline
+from tunenet_logs.addresses import Address
 from tunenet_logs.errors import CameraError
 from tunenet_logs.terminal import short_name
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from recorders.camera.address import Address
 from recorders.camera.base import Shot
 from recorders.camera.connection import OPENING_S, answering
 from recorders.camera.network_options import Transport
@@ -14,6 +13,7 @@ from recorders.camera.rtsp_relay import RtspRelay
 from recorders.camera.tls import Trust
 from recorders.closing import closed_on_failure
 from recorders.deadline import Deadline
+from tunenet_logs.addresses import Address
 from tunenet_logs.errors import CameraAwayError
 
 _SPARE_S = 2.0

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 
-from recorders.camera.address import Address, scheme_of, with_scheme
+from recorders.camera.address import camera_address, with_scheme
 from recorders.camera.base import Source
 from recorders.camera.network_options import NetworkOptions
 from recorders.camera.opening import opened_within
 from recorders.camera.settings import Settings
+from tunenet_logs.addresses import scheme_of
 from tunenet_logs.errors import UsageError
 
 _OPTIONS = {
@@ -95,6 +96,11 @@ def is_file(text: str) -> bool:
     return _kind_of(with_scheme(text)) == "a file"
 
 
+def shows_password(text: str) -> bool:
+    """Whether a camera's address has a password in it."""
+    return is_asked_again(text) and bool(camera_address(with_scheme(text)).password)
+
+
 def _kind_of(text: str) -> str:
     """The scheme of an address, else what it is."""
     if scheme := scheme_of(text):
@@ -138,7 +144,7 @@ def _file(text: str, wishes: Wishes) -> Source:
 def _http(text: str, wishes: Wishes) -> Source:
     from recorders.camera.http_stream import open_http
 
-    address = Address.of(text)
+    address = wishes.network.known(camera_address(text))
     return _opened(
         address.shown, wishes, lambda: open_http(address, wishes.timeout_s, wishes.network.trust)
     )
@@ -147,7 +153,8 @@ def _http(text: str, wishes: Wishes) -> Source:
 def _rtsp(text: str, wishes: Wishes) -> Source:
     from recorders.camera.rtsp_stream import RtspStream
 
-    address, timeout_s, network = Address.of(text), wishes.timeout_s, wishes.network
+    timeout_s, network = wishes.timeout_s, wishes.network
+    address = network.known(camera_address(text))
     return _opened(
         address.shown,
         wishes,

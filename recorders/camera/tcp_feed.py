@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from recorders.camera.address import Address
+from recorders.camera.address import host_and_port
 from recorders.camera.connection import connect
 from recorders.deadline import Deadline
+from tunenet_logs.addresses import Address
 
 
 class TcpFeed:
@@ -21,7 +22,7 @@ class TcpFeed:
     """
 
     def __init__(self, address: Address, deadline: Deadline) -> None:
-        host, port = address.host_and_port()
+        host, port = host_and_port(address)
         self._socket = connect(host, port, deadline, None)
 
     def read(self, most: int) -> bytes:

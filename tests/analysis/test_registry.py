@@ -76,7 +76,7 @@ def tea(rate: float) -> Episode:
 class TeaDetection:
     """The whole signal."""
 
-    topic, warnings = "/tea", ()
+    topic, warnings, left_out = "/tea", (), ()
     window: Mapping[str, float] = {"start_s": 0.0, "end_s": 1.96}
     extent = ("cooling", "2 s")
 

@@ -17,15 +17,21 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
+from mcap.records import Header
 
 from tunenet_logs.checking import check
 from tunenet_logs.episode import EpisodeInfo
 from tunenet_logs.errors import LogError
+from tunenet_logs.output.mcap_summary import MAGIC, bytes_of
 from tunenet_logs.terminal import Progress
 from tunenet_logs.writer import EpisodeWriter
 
 ROOT = Path(__file__).resolve().parents[2]
 MESSAGES = 20
+
+
+OF_OURS = MAGIC + bytes_of(Header("ros2", "tunenet-logs 0.1.0"))
+"""The beginning of a log of ours, by which it is known."""
 
 
 def main() -> None:
@@ -104,7 +110,7 @@ def contend(
     """
     log = folder / "a.mcap"
     if left:
-        (folder / {"log": "a.mcap", "active": "a.mcap.active"}[left]).write_bytes(b"old")
+        (folder / {"log": "a.mcap", "active": "a.mcap.active"}[left]).write_bytes(OF_OURS)
     begin_ns = time.monotonic_ns() + 1_000_000
     for one in every:
         moment_ns = begin_ns + rng.randrange(500_000)

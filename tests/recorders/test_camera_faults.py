@@ -15,6 +15,7 @@ import pytest
 from recorders.camera.base import Shot
 from recorders.camera.capture import Limits, Summary, record_camera
 from tests.conftest import Command
+from tests.recorders.contender import OF_OURS
 from tests.recorders.live_wait import LAST_RESORT_S
 from tests.recorders.made_source import MadeSource
 from tests.recorders.mjpeg_camera import picture, playing
@@ -203,10 +204,11 @@ def test_late_is_what_waits_to_be_written(
 
 
 def test_a_log_that_exists_stays(tmp_path: Path):
-    (tmp_path / "a.mcap").write_bytes(b"mine")
-    with playing() as address, pytest.raises(LogError, match="--overwrite"):
-        record(address, tmp_path / "a.mcap")
-    assert (tmp_path / "a.mcap").read_bytes() == b"mine"
+    for data, remedy in ((OF_OURS, "--overwrite"), (b"mine", "move it away")):
+        (tmp_path / "a.mcap").write_bytes(data)
+        with playing() as address, pytest.raises(LogError, match=remedy):
+            record(address, tmp_path / "a.mcap")
+        assert (tmp_path / "a.mcap").read_bytes() == data
 
 
 def test_a_full_disk_ends_it_and_keeps_what_was_written(tmp_path: Path):

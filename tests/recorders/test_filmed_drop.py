@@ -144,4 +144,4 @@ def test_a_folder_is_no_log(command: Command, tmp_path: Path, place: str):
     result = command("tunenet-record", "--simulate", "drop", "-o", place, cwd=tmp_path)
     assert result.returncode == 1
     assert result.stderr.count("\n") == 1
-    assert "is a directory" in result.stderr
+    assert "is a folder" in result.stderr

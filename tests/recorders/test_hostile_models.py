@@ -37,6 +37,7 @@ def included(name: str) -> str:
 BALL = '<geom size="0.1"/>'
 COPIED = '<replicate count="1000" offset="1 0 0">'
 HINGES = "".join(f'<body><joint axis="{a}"/>{BALL}</body>' for a in ["1 0 0", "0 1 0"] * 101)
+MOTOR = '<motor joint="j"/>'
 HELD = f'<body><joint name="j"/>{BALL}</body>'
 
 TEXTS = {
@@ -76,27 +77,35 @@ TEXTS = {
         world('<body><geom size="1e200" mass="1e300"/></body>'),
         "not finite",
     ),
-    "working memory": ('<mujoco><size memory="1T"/></mujoco>', "over 3 GB"),
-    "some working memory": ('<mujoco><size memory="1500M"/></mujoco>', "1572 MB of working"),
+    "working memory": ('<mujoco><size memory="1T"/></mujoco>', "over 400 MB"),
+    "some working memory": ('<mujoco><size memory="350M"/></mujoco>', "367 MB of working"),
     "keyframes": ('<mujoco><size nkey="2000000000"/></mujoco>', "over the limit of 100000"),
     "user values": ('<mujoco><size nuser_body="2000000000"/></mujoco>', "over the limit"),
     "height field": (
         asset('<hfield name="h" nrow="100000" ncol="100000" size="1 1 1 1"/>'),
-        "over 3 GB",
+        "over 400 MB",
     ),
     "texture": (
         asset('<texture name="t" builtin="flat" width="1000000" height="1000000"/>'),
-        "over 3 GB",
+        "over 400 MB",
     ),
-    "sensor": ('<mujoco><sensor><user dim="2000000000"/></sensor></mujoco>', "over 3 GB"),
+    "sensor": ('<mujoco><sensor><user dim="2000000000"/></sensor></mujoco>', "over 400 MB"),
     "actuator": (
         f"<mujoco><worldbody>{HELD}</worldbody><actuator>"
         '<general joint="j" dyntype="user" actdim="2000000000"/></actuator></mujoco>',
-        "over 3 GB",
+        "over 400 MB",
     ),
     "joints": (world(HINGES), "202 degrees of freedom, over the limit of 200"),
     "bodies": (world(f"<body>{BALL}</body>" * 2001), "2002 bodies, over the limit of 2000"),
     "geoms": (world(BALL * 10_001), "10001 geoms, over the limit of 10000"),
+    "actuators": (
+        f"<mujoco><worldbody>{HELD}</worldbody><actuator>{MOTOR * 2001}</actuator></mujoco>",
+        "2001 actuators, over the limit of 2000",
+    ),
+    "heights from nothing": (
+        asset('<hfield name="h" nrow="4000" ncol="4000" size="1 1 1 1"/>'),
+        "64 MB when compiled, over the limit of 30",
+    ),
     "step": ('<mujoco><option timestep="0"/></mujoco>', "timestep of 0 s; give one of 1e-05"),
     "long step": ('<mujoco><option timestep="1"/></mujoco>', "timestep of 1 s"),
     "massless": (world("<body><joint/></body>"), "give that body or link a mass"),
@@ -204,8 +213,8 @@ def test_a_hostile_model_is_refused_in_one_line(folder: Path, case: str):
     assert said.isprintable()
     assert len(said.replace(str(folder), "")) < 600
     assert caught.value.remedy or ";" in said
-    assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 22
-    assert after.ru_maxrss < 3.5 * 1024**2
+    assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 12
+    assert after.ru_maxrss <= max(before.ru_maxrss, 0.6 * 1024**2)  # of any child so far
 
 
 @pytest.mark.parametrize(
@@ -247,5 +256,5 @@ def test_what_never_ends_is_ended(tmp_path: Path):
         '<replicate count="9000" offset="1 0 0"><attach model="c" body="b" prefix="x"/>'
         "</replicate></worldbody></mujoco>"
     )
-    with pytest.raises(UsageError, match="takes MuJoCo over 20 s"):
+    with pytest.raises(UsageError, match=r"takes MuJoCo over (10 s|400 MB)"):
         read_model(tmp_path / "m.xml")

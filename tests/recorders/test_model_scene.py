@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from recorders.simulators.mujoco.library import mujoco
+from recorders.simulators.mujoco.model_process import ModelProcess
 from recorders.simulators.mujoco.model_scene import ModelScene
 from recorders.simulators.mujoco.model_sensors import SensedSignal, Sensor
 from recorders.simulators.mujoco.model_simulator import InitialState, ModelSimulator
@@ -98,6 +101,7 @@ def test_coordinates_are_what_a_rollout_shows():
         (),
         InitialState(0, np.array([1.0]), np.zeros(1)),
         int(stamps[-1]),
+        process=ModelProcess(Path("pendulum.xml")),
     )
     seconds, qpos = simulator.coordinates(np.zeros(0))
     seen = simulator.rollout({}).signals[signal.name].values[:, 0]

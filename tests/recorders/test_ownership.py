@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import BIN
-from tests.recorders.contender import contend, contenders
+from tests.recorders.contender import OF_OURS, contend, contenders
 from tests.recorders.live_recorder import JOINTS, check_whole_file, started
 from tests.recorders.lost_file import ATTACKS, attack
 from tests.recorders.mjpeg_camera import playing
@@ -98,11 +98,11 @@ def test_what_is_no_file_is_neither_followed_nor_waited_for(tmp_path: Path, kind
 
 def test_a_hard_link_to_what_was_left_keeps_its_bytes(tmp_path: Path):
     backup = tmp_path / "backup"
-    backup.write_bytes(b"what a killed recorder left")
+    backup.write_bytes(OF_OURS + b"what a killed recorder left")
     (tmp_path / "a.mcap.active").hardlink_to(backup)
     with EpisodeWriter(tmp_path / "a.mcap", EpisodeInfo(), overwrite=True):
         pass
-    assert backup.read_bytes() == b"what a killed recorder left"
+    assert backup.read_bytes() == OF_OURS + b"what a killed recorder left"
 
 
 def test_a_stranger_at_the_name_is_not_removed_with_a_discarded_log(tmp_path: Path):

@@ -21,7 +21,7 @@ def shifted(rows: slice | int, by_s: float) -> np.ndarray:
 @pytest.mark.parametrize("at", [0, 200, 399])
 @pytest.mark.parametrize("off_s", [3600, 86400, 8_640_000, 1_577_836_800, -3600, -86400])
 def test_a_stamp_that_is_off_is_left_out_alone(at: int, off_s: float) -> None:
-    _, stamps, _ = sorted_stamps(shifted(at, off_s))
+    _, stamps, _, _ = sorted_stamps(shifted(at, off_s))
     part = sound_part(stamps)
     assert len(part.keep) == 399
     assert np.ptp(stamps[part.keep]) < 5 * SECOND
@@ -66,7 +66,7 @@ def test_the_first_and_last_stamps_that_fit_are_no_overflow() -> None:
 @pytest.mark.parametrize("back_s", [0.5, 2.0])
 def test_a_clock_that_is_set_back_is_not_sorted_into_itself(back_s: float) -> None:
     stamps = shifted(slice(250, None), -back_s + 0.003)
-    keep, ordered, notes = sorted_stamps(stamps)
+    keep, ordered, notes, _ = sorted_stamps(stamps)
     assert keep.tolist() == list(range(250))
     assert np.array_equal(ordered, EVEN[:250])
     assert "is set back by" in notes[0]
@@ -77,7 +77,7 @@ def test_samples_that_overtake_each_other_are_sorted() -> None:
     order = np.arange(400)
     for at in range(20, 380, 40):
         order[at : at + 4] = order[[at + 2, at + 3, at, at + 1]]
-    keep, ordered, notes = sorted_stamps(EVEN[order])
+    keep, ordered, notes, _ = sorted_stamps(EVEN[order])
     assert np.array_equal(ordered, EVEN)
     assert len(keep) == 400
     assert notes == ["9 samples out of order were sorted"]
@@ -91,7 +91,7 @@ def test_stretches_in_another_order_are_sorted() -> None:
 
 @pytest.mark.parametrize("by_s", [-0.5, -1e9, 86400])
 def test_a_header_that_jumps_gives_way_to_the_logs_own_times(by_s: float) -> None:
-    keep, stamps, notes = order_samples(shifted(slice(200, None), by_s), EVEN + 5)
+    keep, stamps, notes, _ = order_samples(shifted(slice(200, None), by_s), EVEN + 5)
     assert len(keep) == 400
     assert np.array_equal(stamps, EVEN + 5)
     assert "so the log's own times are used" in notes[0]

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+import wave
 from pathlib import Path
 
 import pytest
@@ -206,3 +207,37 @@ def test_afterwards_sigterm_is_what_it_was(capsys: pytest.CaptureFixture[str]):
     assert run(Parser("it", "", ""), body, []) == 143
     assert signal.getsignal(signal.SIGTERM) is before
     assert capsys.readouterr().err == "it: terminated\n"
+
+
+STOPPED_INSIDE = """
+import os, signal, sys
+from tunenet_logs.formats.mp4_claims import Mp4Claims
+
+check, sent = Mp4Claims.check, []
+
+def stopped(self, data):
+    if not sent:
+        sent.append(os.kill(os.getpid(), signal.SIGTERM))
+    return check(self, data)
+
+Mp4Claims.check = stopped
+from tunenet_logs.commands import logs
+sys.exit(logs())
+"""
+
+
+def test_a_signal_inside_ffmpeg_is_one_line(tmp_path: Path):
+    """FFmpeg calls Python to read; what is raised there it would print, and go on."""
+    with wave.open(str(tmp_path / "a.wav"), "wb") as file:
+        file.setparams((1, 2, 48_000, 0, "NONE", ""))
+        file.writeframes(bytes(2 * 48_000))
+    words = [sys.executable, "-c", STOPPED_INSIDE, "import", "a.wav"]
+    done = subprocess.run(
+        words,
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+    )
+    assert (done.returncode, done.stderr) == (143, "tunenet-logs: terminated\n")
+    assert [one.name for one in tmp_path.iterdir()] == ["a.wav"]

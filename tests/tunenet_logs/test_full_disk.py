@@ -13,6 +13,7 @@ import pytest
 from mcap.reader import NonSeekingReader, make_reader
 
 from tests.conftest import Command, files_no_larger_than, record
+from tests.recorders.contender import OF_OURS
 from tunenet_logs.episode import EpisodeInfo
 from tunenet_logs.errors import LogError
 from tunenet_logs.output.mcap_summary import bare_ending
@@ -125,9 +126,9 @@ def test_where_no_end_fits_the_log_is_left_without_one(tmp_path: Path):
 
 
 def test_a_log_that_was_to_be_replaced_stays(tmp_path: Path):
-    (tmp_path / "a.mcap").write_bytes(b"the old one")
+    (tmp_path / "a.mcap").write_bytes(OF_OURS + b"the old one")
     acknowledged, said = fill(tmp_path, 100_000, live=True, overwrite=True)
-    assert (tmp_path / "a.mcap").read_bytes() == b"the old one"
+    assert (tmp_path / "a.mcap").read_bytes() == OF_OURS + b"the old one"
     kept = heights_in(tmp_path / "a.mcap.active", acknowledged)
     assert f"{kept} of " in said
     assert "kept in a.mcap.active" in said

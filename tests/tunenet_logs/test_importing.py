@@ -17,8 +17,9 @@ from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.errors import LogError
 from tunenet_logs.importing import import_log
 from tunenet_logs.messages import COMPRESSED_IMAGE, IMAGE, JOINT_STATE, POSE
+from tunenet_logs.progress import heard_by
 from tunenet_logs.reader import read_episode
-from tunenet_logs.terminal import Bar, Progress
+from tunenet_logs.terminal import Progress
 from tunenet_logs.writer import EpisodeWriter
 
 Topic = tuple[str, str, bytes]
@@ -115,22 +116,19 @@ def test_what_is_never_used_is_refused_with_the_reason(tmp_path: Path):
 
 
 class Breaks(Progress):
-    """Breaks off after so many messages."""
+    """Breaks off while messages are written."""
 
-    def __init__(self, left: int, error: BaseException) -> None:
+    def __init__(self, error: BaseException) -> None:
         super().__init__(quiet=True)
-        self.left, self.error = left, error
+        self.error = error
 
     @contextmanager
-    def bar(self, total: int | None, what: str, unit: str) -> Iterator[Bar]:
-        yield self
+    def stages(self, name: str) -> Iterator[None]:
+        with heard_by(self.hear):
+            yield
 
-    def set_postfix_str(self, text: str, /, *, refresh: bool) -> None:
-        pass
-
-    def update(self, done: int, /) -> None:
-        self.left -= done
-        if self.left <= 0:
+    def hear(self, what: str, fraction: float) -> None:
+        if what == "importing" and fraction > 0:  # all messages are written
             raise self.error
 
 
@@ -141,10 +139,10 @@ def test_an_import_that_is_broken_off_leaves_nothing(
 ):
     output = tmp_path / "b.mcap"
     if overwrite:
-        output.write_bytes(b"the old one")
+        output.write_bytes(drop_log.read_bytes())
     before = {one: one.read_bytes() for one in tmp_path.iterdir()}
     with pytest.raises(type(error)):
-        import_log(drop_log, output, overwrite=overwrite, progress=Breaks(100, error))
+        import_log(drop_log, output, overwrite=overwrite, progress=Breaks(error))
     assert {one: one.read_bytes() for one in tmp_path.iterdir()} == before
 
 
@@ -164,11 +162,12 @@ def test_a_name_that_was_taken_meanwhile_is_not_replaced(drop_log: Path, tmp_pat
     output = tmp_path / "b.mcap"
 
     class Intruder(Breaks):
-        def update(self, done: int, /) -> None:
-            output.write_bytes(b"another's")
+        def hear(self, what: str, fraction: float) -> None:
+            if what == "importing" and fraction > 0:
+                output.write_bytes(b"another's")
 
     with pytest.raises(LogError, match="nothing is left of the import"):
-        import_log(drop_log, output, progress=Intruder(0, KeyboardInterrupt()))
+        import_log(drop_log, output, progress=Intruder(KeyboardInterrupt()))
     assert output.read_bytes() == b"another's"
     assert {one.name for one in tmp_path.iterdir()} == {"drop.mcap", "b.mcap"}
 

@@ -31,11 +31,16 @@ def test_a_film_tells_its_stages_to_a_function():
         progress=lambda what, fraction: heard.append((what, fraction)),
     )
     stages = list(dict.fromkeys(what for what, _ in heard))
-    assert stages[:3] == ["decoding the pictures", "finding what moves", "following the ball"]
+    assert stages[:4] == [
+        "reading",
+        "decoding the pictures",
+        "finding what moves",
+        "following the ball",
+    ]
     assert all(0 <= fraction <= 1 for _, fraction in heard)
 
 
-def test_work_that_will_last_is_announced_once(
+def test_work_that_lasts_is_announced_now_and_then(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ):
     now_s = 0.0
@@ -46,7 +51,10 @@ def test_work_that_will_last_is_announced_once(
         for step in range(100):
             now_s = float(step)
             hear("following the ball", step / 100)
-    assert capsys.readouterr().err == "a.mp4: following the ball: about 2 min more\n"
+    said = capsys.readouterr().err.splitlines()
+    assert said == [
+        f"a.mp4: following the ball: about {left} more" for left in ("2 min", "70 s", "40 s")
+    ]
     with Progress(quiet=True).stages("a.mp4"):
         assert _listener.get() is None
 

@@ -17,7 +17,7 @@ from tests import strangers
 from tests.conftest import BIN, Command, files_no_larger_than, record
 from tests.strangers import without_chunks
 from tunenet_logs.errors import LogError, UsageError
-from tunenet_logs.formats.base import Loss, Record
+from tunenet_logs.formats.base import Loss, Record, one_by_one
 from tunenet_logs.formats.mcap_container import read_mcap
 from tunenet_logs.importing import import_log
 from tunenet_logs.reader import read_episode
@@ -135,8 +135,13 @@ def test_the_log_itself_is_never_written_to(drop_log: Path, tmp_path: Path):
             recover(drop_log, output, overwrite=True)
     other = tmp_path / "other.mcap"
     other.write_bytes(b"mine")
+    for overwrite in (False, True):
+        with pytest.raises(UsageError, match="is no log that tunenet-logs wrote; move it away"):
+            recover(drop_log, other, overwrite=overwrite)
+    ours = tmp_path / "ours.mcap"
+    recover(drop_log, ours)
     with pytest.raises(UsageError, match="--overwrite"):
-        recover(drop_log, other)
+        recover(drop_log, ours)
     with pytest.raises(UsageError, match=r"\.mcap"):
         recover(drop_log, tmp_path / "other.bag")
     assert other.read_bytes() == b"mine"
@@ -195,7 +200,7 @@ def test_a_disk_that_cannot_be_read_is_told_from_one_that_is_full(
     long: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     def failing(path: Path, losses: list[Loss]) -> Iterator[Record]:
-        records = read_mcap(path, losses)
+        records = one_by_one(read_mcap(path, losses))
         yield from (next(records) for _ in range(20))
         raise OSError(errno.EIO, "Input/output error", str(path))
 

@@ -12,7 +12,7 @@ from rosbags.rosbag2 import StoragePlugin
 from tests.conftest import Command, real, record
 from tests.strangers import Stranger, write_poses, write_poses_folder
 from tunenet_logs.errors import LogError
-from tunenet_logs.formats.base import Loss, RawMessage
+from tunenet_logs.formats.base import Loss, RawMessage, one_by_one
 from tunenet_logs.formats.ros2_folder import read_folder
 from tunenet_logs.reader import read_episode
 
@@ -55,7 +55,7 @@ def test_it_gives_the_episode_that_the_mcap_gives(
 
 @pytest.mark.parametrize("storage", list(StoragePlugin))
 def test_files_come_in_the_order_of_their_numbers(tmp_path: Path, storage: StoragePlugin):
-    records = read_folder(split(tmp_path / "bag", storage), [])
+    records = one_by_one(read_folder(split(tmp_path / "bag", storage), []))
     stamps = [one.log_ns for one in records if isinstance(one, RawMessage)]
     assert stamps == list(SAMPLES[0])
 
@@ -68,7 +68,7 @@ def test_a_damaged_file_is_named_and_the_others_read(tmp_path: Path, storage: St
     files[2].write_bytes(b"something else")
     files[3].write_bytes(b"")  # what a killed recorder left of a file that it had just begun
     losses: list[Loss] = []
-    found = [one for one in read_folder(folder, losses) if isinstance(one, RawMessage)]
+    found = [one for one in one_by_one(read_folder(folder, losses)) if isinstance(one, RawMessage)]
     assert len(found) >= len(SAMPLES[0]) // 4
     lost = {one.file for one in losses if not one.harmless}
     assert lost == {one.name for one in files[1:]}

@@ -30,6 +30,13 @@ def test_brackets_in_strings_are_text():
     assert parse_json(f'["{text}", -9223372036854775808, 0.5]')[1:] == [-(2**63), 0.5]
 
 
+@pytest.mark.parametrize("atom", ['\\"', '"', "\\\\", "\\", "[", '"a', "1"])
+def test_no_json_takes_the_square_of_its_length(atom: str):
+    """A text of a million characters that does not end: at once, where its square took an hour."""
+    with pytest.raises(ValueError):  # noqa: PT011 (whatever json says)
+        parse_json('{"a": "' + atom * (1_000_000 // len(atom)))
+
+
 def test_sizes_and_kinds(tmp_path: Path):
     file = tmp_path / "a"
     file.write_bytes(b"1234")

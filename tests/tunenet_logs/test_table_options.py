@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -109,7 +110,11 @@ def test_times_of_impacts(tmp_path: Path, text: str, columns: str):
     [
         (GERMAN, "t=Zeit,z=Breite", r"no column 'Breite'; its columns are 'Zeit \(ms\)', 'Höhe"),
         (GERMAN, "t=1,z=4", "no column '4'; its columns are"),
-        (GERMAN, "z=2", "none of its columns is known as a time; say it as well: t=COLUMN"),
+        (
+            "Aika;b\n0;1\n",
+            "z=2",
+            "none of its columns is known as a time; say it as well: t=COLUMN",
+        ),
         ("0 1\n1 2\n", "t=1,z=3", "no column '3'; its columns are 'column 1', 'column 2'"),
         ("a,b (m/s)\n0,1\n", "t=a,z=b", r"'b \(m/s\)' is z, but it is in 'm/s', which is no unit"),
         ("a (h),b\n0,1\n", "t=1,z=b", r"'a \(h\)' is t, but it is in 'h'"),
@@ -253,3 +258,45 @@ def test_a_row_that_breaks_off_keeps_its_place_among_the_frames(tmp_path: Path):
     (signal,) = read_episode(log, options).signals.values()
     assert 500_000_000 not in signal.stamps_ns.tolist()
     assert signal.stamps_ns[-1] == 3_900_000_000
+
+
+JOINTS = "joint1_position,joint2_position,joint1_effort,joint2_effort"
+
+
+@pytest.mark.parametrize("kind", ["csv", "jsonl", "parquet"])
+@pytest.mark.parametrize("names", [JOINTS, "q_1,q_2,tau_1,tau_2", JOINTS.replace("joint", "leg_")])
+def test_rows_of_joints_without_a_clock_need_a_rate(tmp_path: Path, names: str, kind: str):
+    table = pd.DataFrame({name: np.arange(50) / 7 + at for at, name in enumerate(names.split(","))})
+    path = tmp_path / f"a.{kind}"
+    if kind == "csv":
+        table.to_csv(path, index=False)
+    elif kind == "jsonl":
+        table.to_json(path, orient="records", lines=True)
+    else:
+        pytest.importorskip("pyarrow")
+        table.to_parquet(path)
+    with pytest.raises(LogError, match="--fps"):
+        read_episode(path)
+    signals = read_episode(path, ReadOptions(rate_hz=200)).signals
+    assert set(signals) == {"joints.position", "joints.effort"}
+    assert signals["joints.effort"].rate_hz == pytest.approx(200)
+    assert signals["joints.effort"].values[0].tolist() == [2, 3]
+
+
+@pytest.mark.parametrize(
+    ("names", "scale"),
+    [
+        ("joint1 angle in degrees,joint1 torque in Nm", np.pi / 180),
+        ("joint1 angle (radians),joint1 torque (N.m)", 1.0),
+        ("q1_deg,tau1,tau_ext_1", np.pi / 180),
+        ("joint1_position,tau1,tauExt1,tau1_estimated", 1.0),
+        ("joint1_angle_degrees,tau_measured_1,tau_des_1", np.pi / 180),
+        ("joint1 Angle/deg,joint1 torque/Nm,joint1 AngVel/rad/s", np.pi / 180),
+    ],
+)
+def test_units_of_angles_and_estimates_of_torques(tmp_path: Path, names: str, scale: float):
+    cells = ",".join(str(10 + at) for at in range(names.count(",") + 1))
+    signals = read(tmp_path, f"t,{names}\n0,{cells}\n1,{cells}\n").signals
+    assert signals["joints.position"].values[0].tolist() == pytest.approx([10 * scale])
+    assert signals["joints.effort"].values[0].tolist() == [11]
+    assert signals["joints.effort"].columns == signals["joints.position"].columns == ("joint1",)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from tests.conftest import real
 from tests.tunenet_logs.test_csv_table import read
 from tunenet_logs.errors import LogError
+from tunenet_logs.formats.read_options import ReadOptions
 from tunenet_logs.importing import import_log
 from tunenet_logs.reader import read_episode
 
@@ -102,3 +104,62 @@ def test_drops_from_a_tower():
         "track.run1": 51,
         "track.run2": 56,
     }
+
+
+THINGS = [
+    *("name", "label", "entity", "rigid_body", "Ball", "object_id", "track_name"),
+    *("colour", "Serial"),  # what no vocabulary knows
+]
+
+
+def woven(name: str, labels: tuple[str, str], count: int = 40) -> list[dict[str, object]]:
+    """Rows of two things at the same times: one at x = 0, the other at x = 5."""
+    return [
+        {"t": n / 100, name: label, "x": x, "z": 1 - n / 100}
+        for n in range(count)
+        for label, x in zip(labels, (0, 5), strict=True)
+    ]
+
+
+@pytest.mark.parametrize("labels", [("B2", "A"), ("2", "7")])
+@pytest.mark.parametrize("name", THINGS)
+def test_things_of_one_time_are_told_apart_by_any_column(
+    tmp_path: Path, name: str, labels: tuple[str, str]
+):
+    rows = woven(name, labels)
+    text = "\n".join(",".join(map(str, row.values())) for row in [{k: k for k in rows[0]}, *rows])
+    signals = read(tmp_path, text).signals
+    assert [set(one.values[:, 0].tolist()) for one in signals.values()] == [{0}, {5}]
+    assert [len(one.values) for one in signals.values()] == [40, 40]
+    if name in THINGS[:-2]:  # the other readers know the same names
+        (tmp_path / "a.jsonl").write_text("\n".join(map(json.dumps, rows)))
+        assert set(read_episode(tmp_path / "a.jsonl").signals) == set(signals)
+
+
+def test_runs_of_several_things(tmp_path: Path):
+    rows = "".join(
+        f"{run},{ball},{n / 10},{run + n}\n" for run in (1, 2) for n in range(9) for ball in "ab"
+    )
+    names = {f"track.run{run}.{ball}" for run in (1, 2) for ball in "ab"}
+    assert set(read(tmp_path, "trial,ball,t,z\n" + rows).signals) == names
+
+
+def test_a_label_of_what_happens_is_no_thing(tmp_path: Path):
+    rows = "".join(f"{n / 10},{'fall' if n < 20 else 'rest'},{n}\n" for n in range(40))
+    assert set(read(tmp_path, "t,label,z\n" + rows).signals) == {"track"}
+
+
+@pytest.mark.parametrize("kind", ["csv", "jsonl"])
+def test_things_that_nothing_tells_apart_are_asked_about(tmp_path: Path, kind: str):
+    rows = woven("name", ("a", "b"))
+    path = tmp_path / f"a.{kind}"
+    if kind == "csv":
+        path.write_text("t,x,z\n" + "".join(f"{row['t']},{row['x']},{row['z']}\n" for row in rows))
+    else:
+        plain = [{key: row[key] for key in ("t", "x", "z")} | {"of": row["name"]} for row in rows]
+        path.write_text("\n".join(map(json.dumps, plain)))
+    with pytest.raises(LogError, match=r"40 of 80 rows have the stamp of another.*object=NAME"):
+        read_episode(path)
+    if kind == "jsonl":
+        said = ReadOptions(columns={"object": "of"})
+        assert set(read_episode(path, said).signals) == {"track.a", "track.b"}

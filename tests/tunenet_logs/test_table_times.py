@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from tests.tunenet_logs.test_csv_table import XYZ, one, read
+from tunenet_logs.errors import LogError
 from tunenet_logs.formats.tables.times import exact_ns
+from tunenet_logs.reader import read_episode
 
 
 @pytest.mark.parametrize(
@@ -124,3 +126,91 @@ def test_units_of_times_since_1970_go_by_their_size(tmp_path: Path, digits: str)
 def test_a_doubtful_unit_is_named(tmp_path: Path):
     assert any("unit" in one for one in read(tmp_path, "t,z\n0,1\n8,2\n16,3\n").warnings)
     assert not read(tmp_path, "t_ms,z\n0,1\n8,2\n16,3\n").warnings
+
+
+UNITS_NS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
+
+
+def written(times_ns: list[int], unit: str) -> list[str]:
+    """Times as decimal numbers of a unit, exactly."""
+    size = UNITS_NS[unit]
+    return [
+        f"{at // size}.{at % size * (10**9 // size):09}".rstrip("0").rstrip(".") for at in times_ns
+    ]
+
+
+@pytest.mark.parametrize("start_s", [0, 53, 170_000, 1_790_000_000])
+@pytest.mark.parametrize("rate_hz", [25, 240, 960])
+@pytest.mark.parametrize("unit", list(UNITS_NS))
+@pytest.mark.parametrize("kind", ["csv", "jsonl", "npz"])
+def test_units_that_no_name_tells_go_by_the_steps(
+    tmp_path: Path, kind: str, unit: str, rate_hz: int, start_s: int
+):
+    rows = [n if n < 30 else n + rate_hz // 2 for n in range(120)]  # a gap of half a second
+    times_ns = [start_s * 10**9 + n * 10**9 // rate_hz for n in rows]
+    texts = written(times_ns, unit)
+    path = tmp_path / f"a.{kind}"
+    if kind == "csv":
+        path.write_text("timestamp,z\n" + "".join(f"{text},1\n" for text in texts))
+    elif kind == "jsonl":
+        path.write_text("".join(f'{{"timestamp": {text}, "z": 1.5}}\n' for text in texts))
+    else:
+        np.savez(path, timestamp=np.array(texts, np.float64), z=np.ones(len(texts)))
+    episode = read_episode(path)
+    stamps_ns = episode.signals["track"].stamps_ns
+    exact_to_ns = 1 if kind != "npz" else 1000  # float64 holds 1.79e18 ns to 256 ns
+    assert np.abs(stamps_ns - np.array(times_ns)).max() <= exact_to_ns
+    doubted = any("names no unit" in one for one in episode.warnings)
+    assert doubted == (unit != "s" and start_s < 1e9)
+
+
+def test_days_of_a_spreadsheet_are_times(tmp_path: Path):
+    rows = "".join(f"{46328.4375 + n / 8_640_000:.10f},{n}\n" for n in range(50))
+    episode = read(tmp_path, "Time,z\n" + rows)
+    assert episode.signals["track"].rate_hz == pytest.approx(100, rel=1e-3)
+    assert any("days of a spreadsheet" in one for one in episode.warnings)
+
+
+def test_steps_that_no_log_has_are_named(tmp_path: Path):
+    rows = "".join(f"{n / 8_640_000:.12f},{n}\n" for n in range(50))
+    with pytest.raises(
+        LogError, match=r"'Time' rises by 1.2e-07 .*too fast to be s; write it in s"
+    ):
+        read(tmp_path, "Time,z\n" + rows)
+
+
+@pytest.mark.parametrize(
+    ("header", "cells", "seconds"),
+    [
+        ("Date,Time", ("2026-11-21,10:00:00.5", "2026-11-22,9:00:00"), 82_799.5),
+        ("Datum;Uhrzeit", ("21.11.2026;10:00:00,5", "21.11.2026;10:00:01,25"), 0.75),
+        ("Date,Time", ("11/21/2026,11:59:59.5 AM", "11/21/2026,12:00:00.5 PM"), 1.0),
+        ("Time", ("23:59:59.9", "0:00:00.1"), 0.2),
+        ("Time", ("59:59.9", "00:00.1"), 0.2),
+        ("Date", ("2026-11-21 10:00:00.5", "2026-11-21 10:00:01"), 0.5),
+        ("Date,t", ("2026-11-21,0.5", "2026-11-21,0.75"), 0.25),
+    ],
+)
+def test_dates_and_times_of_the_day(
+    tmp_path: Path, header: str, cells: tuple[str, str], seconds: float
+):
+    mark = ";" if ";" in header else ","
+    text = f"{header}{mark}z\n" + "".join(f"{one}{mark}1\n" for one in cells)
+    assert one(tmp_path, text).seconds.tolist() == pytest.approx([0, seconds])
+
+
+@pytest.mark.parametrize("name", ["Höhe (µm)", "hauteur / um", "h in µm"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252", "utf-16"])
+def test_units_are_kept_in_every_encoding(tmp_path: Path, encoding: str, name: str):
+    text = f"Zeit (µs);{name}\n0;1000000\n10000;2000000\n"
+    signal = one(tmp_path, text.encode(encoding))
+    assert (signal.stamps_ns.tolist(), signal.unit) == ([0, 10_000_000], "m")
+    assert signal.values[:, 2].tolist() == pytest.approx([1, 2])
+
+
+def test_stamps_that_are_cut_short_are_named(tmp_path: Path):
+    rows = "".join(f"{1.79e9 + n / 100:.6e},{n}\n" for n in range(50))
+    with pytest.raises(
+        LogError, match=r"49 of 50 rows .* the stamps have too few digits; write times with all"
+    ):
+        read(tmp_path, "time,z\n" + rows)

@@ -26,7 +26,7 @@ from tunenet_logs.checking import check
 from tunenet_logs.cli import main
 from tunenet_logs.errors import LogError
 from tunenet_logs.formats import budget, decoders, ros2_folder, video
-from tunenet_logs.formats.base import Loss, RawChannel, RawMessage, Record
+from tunenet_logs.formats.base import Loss, RawChannel, RawMessage, Record, one_by_one
 from tunenet_logs.formats.mcap_container import read_mcap
 from tunenet_logs.formats.ros1_bag import read_bag
 from tunenet_logs.formats.ros2_db3 import read_db3
@@ -90,7 +90,7 @@ def read(container: Callable, path: Path, **more: object) -> tuple[list[Record],
 
 
 def messages(records: list[Record]) -> int:
-    return sum(isinstance(one, RawMessage) for one in records)
+    return sum(isinstance(one, RawMessage) for one in one_by_one(records))
 
 
 def test_zeros_are_said_once_and_what_follows_is_read(tmp_path: Path):

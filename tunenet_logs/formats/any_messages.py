@@ -18,7 +18,7 @@ from tunenet_logs.formats.protobuf import (
     descriptor_of,
     has_lists,
 )
-from tunenet_logs.formats.ros import known_types, ros_name
+from tunenet_logs.formats.ros import SCHEMA_ENCODINGS, known_types, ros_name
 from tunenet_logs.formats.ros_any import any_ros_type
 from tunenet_logs.formats.ros_definitions import parsed
 from tunenet_logs.formats.structure import Listed, Node, Plain, Structure
@@ -32,13 +32,10 @@ _MOST_DEPTH = 8
 _MOST_NODES = 5000
 """Parts of a type that are looked at."""
 
-_SCHEMA_ENCODINGS = {"cdr": ("ros2msg", "ros2idl"), "ros1": ("ros1msg",)}
-"""Definitions that are read, by the encoding of the messages."""
-
 _IDL_WEIGHT, _PROTOBUF_WEIGHT = 8.0, 1 / 16
 """How much longer a byte of IDL takes to read than one of another definition, and of protobuf."""
 
-_WEIGHTS = {"ros2idl": _IDL_WEIGHT, "protobuf": _PROTOBUF_WEIGHT}
+_WEIGHTS = {"ros2idl": _IDL_WEIGHT, "omgidl": _IDL_WEIGHT, "protobuf": _PROTOBUF_WEIGHT}
 
 Steps = tuple[str | int, ...]
 """Where a part of a message is: names of fields, and numbers in lists from 0."""
@@ -120,7 +117,7 @@ def any_type(channel: RawChannel, budget: SchemaBudget) -> AnyType:
         UnusableError: they cannot be.
     """
     budget.spend(channel)
-    if channel.encoding in _SCHEMA_ENCODINGS:
+    if channel.encoding in SCHEMA_ENCODINGS:
         return _ros(channel)
     if channel.encoding == "protobuf" and channel.schema_encoding == "protobuf":
         return _protobuf(channel)
@@ -132,8 +129,16 @@ def any_type(channel: RawChannel, budget: SchemaBudget) -> AnyType:
 def _ros(channel: RawChannel) -> AnyType:
     name, is_ros1 = ros_name(channel.type_name), channel.encoding == "ros1"
     types = dict(known_types(is_ros1=is_ros1))
-    if channel.schema_encoding in _SCHEMA_ENCODINGS[channel.encoding]:
+    encodings = SCHEMA_ENCODINGS[channel.encoding]
+    if channel.schema_encoding in encodings:
         types |= parsed(channel.schema, channel.schema_encoding, name)
+        plain = channel.type_name.replace("::", "/")
+        name = name if name in types or plain not in types else plain
+    elif name not in types and channel.schema_encoding:
+        raise UnusableError(
+            f"its definition is in {channel.schema_encoding[:20]!r}, which is not read "
+            f"(only {', '.join(encodings)})"
+        )
     elif name not in types:
         raise UnusableError("its type is not known here, and the log does not define it")
     structure, decode = any_ros_type(types, name, is_ros1=is_ros1)

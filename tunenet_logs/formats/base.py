@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 DAMAGED = (
     struct.error,
@@ -69,6 +72,50 @@ class RawMessage:
     sequence: int = 0
 
 
+@dataclass(eq=False)
+class RawMessages:
+    """Messages that lie in one piece of a container, in their order.
+
+    Attributes:
+        plain: the piece.
+        channels: by number.
+        heads: number, sequence, log_ns and publish_ns of each, shape (N,).
+        begins: where the bytes of each begin in `plain`, shape (N,).
+        ends: where they end, shape (N,).
+    """
+
+    plain: memoryview
+    channels: Mapping[int, RawChannel]
+    heads: NDArray[np.void]
+    begins: NDArray[np.int64]
+    ends: NDArray[np.int64]
+
+    def __iter__(self) -> Iterator[RawMessage]:
+        """Take them apart."""
+        places = zip(self.heads.tolist(), self.begins.tolist(), self.ends.tolist(), strict=True)
+        for (number, sequence, log_ns, publish_ns), begin, end in places:
+            data = self.plain[begin:end]
+            yield RawMessage(self.channels[number], log_ns, data, publish_ns, sequence)
+
+    def rows(self, places: NDArray[np.intp], size: int) -> NDArray[np.uint8]:
+        """The bytes of those at `places`, each of `size`, shape (R, size)."""
+        starts = np.ndarray(
+            len(self.plain) - size + 1, np.dtype((np.void, size)), self.plain, strides=(1,)
+        )
+        return starts[self.begins[places]].view(np.uint8).reshape(len(places), size)
+
+    def by_channel(self) -> Iterator[tuple[RawChannel, RawMessages]]:
+        """Those of each channel by themselves, in their order."""
+        numbers = np.unique(self.heads["number"]).tolist()
+        for number in numbers:
+            own = self
+            if len(numbers) > 1:
+                rows = self.heads["number"] == number
+                parts = (self.heads[rows], self.begins[rows], self.ends[rows])
+                own = RawMessages(self.plain, self.channels, *parts)
+            yield self.channels[number], own
+
+
 @dataclass(frozen=True)
 class RawMetadata:
     """Names and texts that belong to the whole log."""
@@ -88,8 +135,17 @@ class RawAttachment:
     create_ns: int
 
 
-Record = RawChannel | RawMessage | RawMetadata | RawAttachment
+Record = RawChannel | RawMessage | RawMessages | RawMetadata | RawAttachment
 """What a container is taken apart into."""
+
+
+def one_by_one(records: Iterable[Record]) -> Iterator[Record]:
+    """Take apart messages that came together."""
+    for record in records:
+        if isinstance(record, RawMessages):
+            yield from record
+        else:
+            yield record
 
 
 @dataclass(frozen=True)
@@ -101,6 +157,7 @@ class Loss:
         file: name of the file, where the log has several; else "".
         at_byte: where it begins; None for the whole file.
         size: bytes concerned.
+        messages: how many are lost by it; None where only its size tells.
         harmless: whether all messages were read nevertheless.
         taints: whether messages that were read may have been changed.
     """
@@ -109,6 +166,7 @@ class Loss:
     file: str = ""
     at_byte: int | None = None
     size: int = 0
+    messages: int | None = None
     harmless: bool = False
     taints: bool = False
 
@@ -120,6 +178,21 @@ class Loss:
         if not self.size:
             return f"{text} (at byte {self.at_byte})"
         return f"{text} (bytes {self.at_byte} to {self.at_byte + self.size})"
+
+
+def lost_share(losses: Iterable[Loss], read: int, size: int) -> float:
+    """How much of a log is lost, of 1: by its messages where they are counted, else by its bytes.
+
+    Args:
+        losses: all of them.
+        read: messages that were read.
+        size: of the file [bytes].
+    """
+    harm = [loss for loss in losses if not loss.harmless]
+    known = [loss.messages for loss in harm if loss.messages is not None]
+    if known:
+        return sum(known) / max(1, sum(known) + read)
+    return min(1.0, sum(loss.size for loss in harm) / max(1, size))
 
 
 class Container(Protocol):

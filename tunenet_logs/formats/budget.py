@@ -51,6 +51,7 @@ class Budget:
         spent_records: records that were taken from it, or what costs as much.
         channels: that it described.
         definition_bytes: of their types.
+        files_bytes: size of the files of the log that were read before.
     """
 
     file_bytes: int
@@ -58,6 +59,11 @@ class Budget:
     spent_records: int = 0
     channels: int = 0
     definition_bytes: int = 0
+    files_bytes: int = 0
+
+    def share(self, read: int) -> float:
+        """Which fraction of the log is read, with `read` bytes of this file."""
+        return (self.files_bytes + read) / max(self.file_bytes, 1)
 
     @property
     def left_records(self) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import chain, islice
@@ -31,19 +31,28 @@ from tunenet_logs.formats.tables.joints import with_torques
 from tunenet_logs.formats.tables.layout import TableLayout
 from tunenet_logs.formats.tables.lines import cells_of, lines_of
 from tunenet_logs.formats.tables.meaning import LENGTHS
-from tunenet_logs.formats.tables.numbers import Numbers, decimal_of
-from tunenet_logs.formats.tables.runs import RunNames
+from tunenet_logs.formats.tables.numbers import Numbers, Thousands, decimal_of
+from tunenet_logs.formats.tables.runs import RunNames, telling_column
 from tunenet_logs.formats.tables.samples import SignalSamples
-from tunenet_logs.formats.tables.times import Clock, lacks_zone, power_by_size, says_its_unit
+from tunenet_logs.formats.tables.times import (
+    Clock,
+    DayTurns,
+    TimeUnit,
+    is_of_day,
+    lacks_zone,
+    says_its_unit,
+    unit_of_times,
+)
+from tunenet_logs.left_out import UNREADABLE, added, in_proportion
 
 _LOOK_ROWS = 100
 """Read ahead, to see how numbers are written and in which unit times are that name none."""
 
+_FEW_ROWS = 5
+"""In which numbers that are all others may still be of things."""
+
 _MOST_ROWS = 2_000_000
 """Of a table: its cells are read one by one, in Python; 2 hours at 240 Hz."""
-
-_SLOW_S = 0.5
-"""From row to row; what is sampled more slowly was timed in another unit than seconds, perhaps."""
 
 
 def read_csv(path: Path, options: ReadOptions = AS_IT_SAYS) -> Episode:
@@ -89,18 +98,20 @@ class _TableReading:
     def __init__(self, table: OpenTable, options: ReadOptions) -> None:
         self._table = table
         self._layout: TableLayout = table.layout
-        self._runs = RunNames(table.layout.run[1] if table.layout.run else "run")
+        self._runs = RunNames([kind for _, kind in table.layout.runs])
         self._clocks = tuple(dict.fromkeys(group.clock for group in table.layout.groups))
         self._samples = [
             SignalSamples(group, table.layout.header, options) for group in table.layout.groups
         ]
         has_stamps = any(group.stamp is not None for group in table.layout.groups)
-        self._is_plain = len(self._clocks) == 1 and not has_stamps and table.layout.run is None
+        self._is_plain = len(self._clocks) == 1 and not has_stamps and not table.layout.runs
         self._numbers = Numbers(table.layout.separator)
-        self._powers: dict[Clock, int] = {}
+        self._units: dict[Clock, TimeUnit] = {}
+        self._turns: dict[Clock, DayTurns] = {}
         self._dated: dict[str, bool] = {}
         self._count = 0
         self._failures = Failures()
+        self._thousands = Thousands(())
 
     def read(self, path: Path) -> None:
         """All rows; those that cannot be read are counted.
@@ -110,7 +121,10 @@ class _TableReading:
         """
         rows = self._cells()
         first = list(islice(rows, _LOOK_ROWS))
-        self._look([cells for _, cells in first if cells and len(cells) == self._layout.width])
+        try:
+            self._look([cells for _, cells in first if cells and len(cells) == self._layout.width])
+        except ValueError as error:
+            raise LogError(f"{path}: {error}") from error
         for line, cells in chain(first, rows):
             try:
                 self._add(cells)
@@ -145,20 +159,61 @@ class _TableReading:
         decimal = decimal_of(cells[index] for cells in whole for index in used)
         separator = self._layout.separator
         self._numbers = Numbers(separator, "" if decimal == separator else decimal)
+        self._thousands = Thousands(used)
         for clock in clocks:
-            self._find_unit(clock, [cells[clock.indices[0]] for cells in whole])
+            self._find_unit(clock, whole)
+        self._tell_apart(whole, used)
         for samples in self._samples:
             samples.columns = _named(samples.group, self._layout, whole)
 
-    def _find_unit(self, clock: Clock, texts: Sequence[str]) -> None:
-        """The unit of a clock, by the cells of the first rows."""
+    def _tell_apart(self, rows: Sequence[Sequence[str]], used: set[int]) -> None:
+        """Finds the column of the things of which several rows have one stamp, by its cells."""
+        runs = tuple(
+            one
+            for one in self._layout.runs
+            if len(rows) < _FEW_ROWS or len({row[one[0]] for row in rows}) < len(rows)
+        )  # not those that count the rows
+        told = (*self._clocks[0].indices, *(at for at, _ in runs))
+        stamps = [[row[at] for at in told] for row in rows]
+        taken = {*used, *(at for at, _ in runs), *self._layout.names.values()}
+        columns = {
+            at: [row[at] for row in rows] for at in range(self._layout.width) if at not in taken
+        }
+        found = telling_column(stamps, columns) if len(self._clocks) == 1 else None
+        if found is None:
+            self._count_runs(runs)
+            return
+        name = re.sub(r"\W+", "_", self._layout.header[found].strip()).strip("_").lower()
+        self._count_runs((*runs, (found, name[:20] or "object")))
+
+    def _count_runs(self, runs: tuple[tuple[int, str], ...]) -> None:
+        self._layout = replace(self._layout, runs=runs)
+        self._runs = RunNames([kind for _, kind in runs])
+        self._is_plain &= not runs
+
+    def _find_unit(self, clock: Clock, rows: Sequence[Sequence[str]]) -> None:
+        """The unit of a clock, by the cells of the first rows.
+
+        Raises:
+            ValueError: it has none that a log has.
+        """
         numbers: list[str] = []
-        for text in texts:
+        at = clock.indices[-1 if clock.has_date else 0]
+        for cells in rows:
             with suppress(ValueError):
-                numbers.append(self._numbers.plain(text))
-        self._powers[clock] = power_by_size(numbers) if clock.power is None else clock.power
+                numbers.append(self._numbers.plain(cells[at]))
         if any(map(says_its_unit, numbers)):
+            self._units[clock] = TimeUnit(10 ** (9 + (clock.power or 0)))
             self._dated[clock.name] = any(map(lacks_zone, numbers))
+            of_day = next(filter(is_of_day, numbers), None)
+            if of_day is not None and not clock.has_date:
+                self._turns[clock] = DayTurns(of_day)
+            return
+        is_sum = len(clock.indices) > 1 and not clock.has_date
+        power = 0 if is_sum or clock.counts_frames else clock.power
+        timed = [group for group in self._layout.groups if clock in (group.clock, group.stamp)]
+        is_sampled = not all(group.is_impacts for group in timed)
+        self._units[clock] = unit_of_times(clock.name, numbers, power, is_sampled=is_sampled)
 
     def _add(self, cells: Sequence[str] | None) -> None:
         """Raises UnreadableError: it is no row of the table, as a whole."""
@@ -168,6 +223,7 @@ class _TableReading:
             raise UnreadableError(f"it has {count} of {width} cells", DAMAGED_REMEDY)
         if count > width:
             raise UnreadableError(f"it has {count} cells, the header {width}", CELLS_REMEDY)
+        self._thousands.look(cells)
         read = [(samples, samples.read(cells, self._numbers)) for samples in self._samples]
         found = [(samples, row) for samples, row in read if row is not None]
         if not found:
@@ -183,7 +239,8 @@ class _TableReading:
             arrivals = [self._time(samples.group.clock, cells) for samples, _ in found]
         stamps = (samples.group.stamp for samples, _ in found)
         taken = [0 if stamp is None else self._time(stamp, cells) for stamp in stamps]
-        run = None if self._layout.run is None else self._runs.number(cells[self._layout.run[0]])
+        runs = [cells[at] for at, _ in self._layout.runs]
+        run = self._runs.number(runs) if runs else None
         for stamp_ns, arrival_ns, (samples, row) in zip(taken, arrivals, found, strict=True):
             samples.add(stamp_ns, arrival_ns, row)
             if run is not None:
@@ -198,9 +255,10 @@ class _TableReading:
                 name = self._layout.header[index]
                 raise unreadable(name, cells[index], why, NUMBER_REMEDY) from None
         try:
-            return clock.read(texts, self._powers[clock])
+            time_ns = clock.read(texts, self._units[clock].ns)
         except ValueError:
             raise unreadable(clock.name, " ".join(texts), "is no time", TIME_REMEDY) from None
+        return self._turns[clock](time_ns) if clock in self._turns else time_ns
 
     def episode(self, path: Path) -> Episode:
         """What was read.
@@ -213,6 +271,8 @@ class _TableReading:
             raise LogError(f"{path}: {self._failures.nothing(self._count)}")
         if why := self._failures.refusal(self._count):
             raise LogError(f"{path}: {why}")
+        if why := self._thousands.doubt(self._layout.header):
+            raise LogError(f"{path}: {why}", NUMBER_REMEDY)
         first_ns = min(min(samples.arrivals) for samples in filled)
         notes = self._notes(first_ns)
         signals: dict[str, Signal] = {}
@@ -225,14 +285,24 @@ class _TableReading:
             signals.update({signal.name: signal for signal in made if len(signal.stamps_ns)})
             channels += own
             notes += repairs
-        notes += self._doubts(signals)
+        if len(signals) > len(filled) and self._runs.note:
+            notes.append(self._runs.note)
+        notes += dict.fromkeys(unit.doubt for unit in self._units.values() if unit.doubt)
         none: NDArray[np.int64] = np.empty(0, np.int64)
         channels += [
             Channel(name[:200], "", "csv", none, skipped=reason)
             for name, reason in self._layout.unused.items()
         ]
         lost = (self._failures.lost(self._count),) if self._failures else ()
-        info = EpisodeInfo(source=f"table {path.name}")
+        if lost:
+            failed = len(self._failures), self._count - len(self._failures)
+            for name, signal in signals.items():
+                unread = {UNREADABLE: in_proportion(len(signal.stamps_ns), *failed)}
+                signals[name] = replace(signal, left_out=added(signal.left_out, unread))
+        if self._table.said_rows is not None and self._count < self._table.said_rows:
+            lost += (f"it says that it has {self._table.said_rows} rows, and has {self._count}",)
+        what = f", {self._table.what}" if self._table.what else ""
+        info = EpisodeInfo(source=f"table {path.name}{what}")
         return Episode(info, signals, tuple(channels), (*lost, *notes), lost)
 
     def _notes(self, first_ns: int) -> list[str]:
@@ -244,18 +314,6 @@ class _TableReading:
         if first_ns < 0:
             notes.append(f"times begin at {first_ns / 1e9:.9g} s; they were moved to begin at 0")
         return notes
-
-    def _doubts(self, signals: Mapping[str, Signal]) -> list[str]:
-        """Times that may be in another unit than was guessed."""
-        clock = self._clocks[0]
-        rates = [signal.rate_hz for signal in signals.values() if signal.rate_hz]
-        is_known = clock.power is not None or clock.name in self._dated or self._powers[clock]
-        if is_known or not rates or max(rates) > 1 / _SLOW_S:
-            return []
-        return [
-            f"{clock.name!r} names no unit and was taken as seconds, {1 / max(rates):g} from row "
-            "to row; if it is not, name it t_ms, t_us or t_ns"
-        ]
 
 
 def _named(group: Group, layout: TableLayout, rows: Sequence[Sequence[str]]) -> tuple[str, ...]:

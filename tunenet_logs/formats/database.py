@@ -196,7 +196,9 @@ class DatabaseTable:
             damaged_places += 1
             found = self._behind(database, start)
             rows = f"{start} to {found - 1}" if found is not None else f"{start} to the last"
-            losses.append(Loss(f"table {self.name}: rows {rows} cannot be read: {why}"))
+            lost = found - start if found is not None and self.name == "messages" else None
+            what = f"table {self.name}: rows {rows} cannot be read: {why}"
+            losses.append(Loss(what, messages=lost))
             if found is None:
                 return
             start = found

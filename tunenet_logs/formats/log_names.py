@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 from tunenet_logs.errors import LogError
@@ -13,21 +12,29 @@ from tunenet_logs.regular_file import open_regular
 
 _MESSAGES = (".mcap", ".bag", ".db3", ".mcap.zstd", ".db3.zstd", ".mcap.zst", ".bag.gz", ".mcap.gz")
 _FILMS = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mts", ".m2ts", ".wmv", ".mjpeg")
-_EXPORTS = (".c3d", ".trc", ".csv", ".tsv", ".trk")
+_EXPORTS = (".c3d", ".trc", ".csv", ".tsv", ".trk", ".sto", ".mot")
 _LOGS = (*_MESSAGES, *_FILMS, *_EXPORTS)
 """Endings of what is a log, be it damaged."""
 
-_PERHAPS = (".txt", ".npy", ".npz", ".mat", ".parquet", ".jsonl", ".xlsx", ".ods", ".zip", ".gz")
+_PERHAPS = (
+    ".txt",
+    ".dat",
+    ".log",
+    ".npy",
+    ".npz",
+    ".mat",
+    ".parquet",
+    ".jsonl",
+    ".xlsx",
+    ".ods",
+    ".zip",
+    ".gz",
+)
 _PERHAPS += (".zst", ".bz2", ".xml", "")
 """Endings of what may be one."""
 
 _OWN = ("ledger.parquet", "ledger.csv")
 """Files that tuning many logs writes."""
-
-_NUMBER = re.compile(r"[-+]?[0-9]*[.,]?[0-9]+(?:[eE][-+]?[0-9]+)?")
-
-_START_BYTES = 4096
-"""Of a text, in which a table has rows."""
 
 
 def is_log_name(name: str) -> bool:
@@ -43,18 +50,10 @@ def may_be_log(path: Path) -> bool:
         return False
     try:
         with open_regular(path) as file:
-            start = file.read(_START_BYTES)
-        if path.suffix.lower() == ".txt":
-            return any(map(_is_row, start.decode(errors="replace").splitlines()))
-        return bool(start) and is_known(path)
+            is_empty = not file.read(1)
+        return not is_empty and is_known(path)
     except (LogError, OSError):
         return False
-
-
-def _is_row(line: str) -> bool:
-    """Whether a line of a text is two numbers or more."""
-    cells = re.split(r"[,;\s]+", line.strip())
-    return len(cells) > 1 and all(_NUMBER.fullmatch(cell) for cell in cells)
 
 
 def is_log_folder(path: Path) -> bool:

@@ -8,21 +8,25 @@ import zlib
 from array import array
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import BinaryIO
 
+import numpy as np
 from mcap import records as mcap_records
 from mcap.opcode import Opcode
+from numpy.typing import NDArray
 
 from tunenet_logs.formats.base import (
     Loss,
     RawAttachment,
     RawChannel,
     RawMessage,
+    RawMessages,
     RawMetadata,
     Record,
     described,
+    one_by_one,
 )
 from tunenet_logs.formats.budget import DAMAGE_RECORDS, Budget, OverBudgetError
 from tunenet_logs.formats.compression import (
@@ -46,10 +50,19 @@ from tunenet_logs.formats.mcap_search import (
     zeros_end,
     zeros_end_in,
 )
+from tunenet_logs.progress import silent, teller
 from tunenet_logs.regular_file import open_regular
 
-_MESSAGE = struct.Struct("<HIQQ")
+_MESSAGE = np.dtype(
+    [("number", "<u2"), ("sequence", "<u4"), ("log_ns", "<u8"), ("publish_ns", "<u8")]
+)
 """Of a message: channel, sequence number, receipt and acquisition [ns]."""
+
+_HEAD = struct.Struct("<HIQQ")
+"""The same, of one message."""
+
+_FEWEST_ALIKE = 8
+"""Messages of one size in a row, from which on their places are looked for together."""
 
 _BLOCK_BYTES = 1024 * 1024
 """Read at a time of a record that is skipped, for its share in the checksum of all data."""
@@ -89,7 +102,30 @@ class _Inside:
     def __init__(self, plain: memoryview) -> None:
         self.plain = plain
         self.channels: dict[int, RawChannel] = {}
-        self.begins, self.ends = array("I"), array("I")
+        self._begins, self._ends = array("I"), array("I")
+        self._length = self._alike = 0  # of the last message, and how many had that in a row
+
+    def add(self, at: int, length: int) -> int:
+        """A message; returns how many that follow it, of the same length, were added with it."""
+        self._begins.append(at)
+        self._ends.append(at + length)
+        self._alike = self._alike + 1 if length == self._length else 1
+        self._length = length
+        if self._alike < _FEWEST_ALIKE:
+            return 0
+        self._alike = 0
+        size = HEAD.size + length
+        more = _alike(self.plain, at + length, length)
+        begins = at + size * np.arange(1, more + 1)
+        self._begins.frombytes(begins.astype(np.uint32).tobytes())
+        self._ends.frombytes((begins + length).astype(np.uint32).tobytes())
+        return more
+
+    @property
+    def places(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Where each message begins and ends, shape (N,)."""
+        begins, ends = (np.array(at, np.int64) for at in (self._begins, self._ends))
+        return begins, ends
 
 
 @dataclass(eq=False)
@@ -125,11 +161,15 @@ class _McapReading:
         if self.ended and not self.is_protected:
             what = "the log carries no data checksum, so its integrity cannot be vouched for"
             self.losses.append(Loss(what, harmless=True))
+        self.losses += [Loss(what, taints=True) for what in self.channels.redefined]
         if self.unknown:
             self._lose(f"{self.unknown} messages belong to channels that nothing describes")
-        if self.stated is not None and self.stated > self.messages + self.unknown:
-            missing = self.stated - self.messages - self.unknown
-            self._lose(f"{missing} of {self.stated} messages are missing")
+        if self.stated is not None:  # then it is known how many are missing, whatever is damaged
+            missing = max(0, self.stated - self.messages - self.unknown)
+            self.losses[:] = [replace(loss, messages=0) for loss in self.losses]
+            if missing:
+                what = f"{missing} of {self.stated} messages are missing"
+                self.losses.append(Loss(what, messages=missing))
 
     def _until_the_end(self) -> Iterator[Record]:
         """The records, one after the other.
@@ -138,8 +178,10 @@ class _McapReading:
             OverBudgetError: there are too many.
         """
         self.at = len(self._read(len(MAGIC)))
+        tell = teller("reading") if self.topics is None else silent
         while not self.ended:
             at = self.at
+            tell(self.budget.share(at))
             head = self.file.read(HEAD.size)
             if len(head) < HEAD.size:
                 self._lose(_NO_END, at)
@@ -177,7 +219,7 @@ class _McapReading:
                 inside = _Inside(memoryview(unpack_start(body[start + 8 :], compression, most)))
                 with suppress(*MCAP_DAMAGED):
                     self._look_through(inside)
-                found = list(self._all_of(inside))
+                found = list(one_by_one(self._all_of(inside)))
         saved = sum(isinstance(record, RawMessage) for record in found)
         what = f"{_NO_END}; its last record is cut"
         if saved:
@@ -236,7 +278,7 @@ class _McapReading:
 
     def _all_of(self, inside: _Inside) -> Iterator[Record]:
         yield from inside.channels.values()
-        yield from self._messages(inside.plain, inside.begins, inside.ends)
+        yield from self._messages(inside.plain, *inside.places)
 
     def _look_through(self, inside: _Inside) -> None:
         """Find the channels of an unpacked chunk, and the places of its messages.
@@ -263,10 +305,11 @@ class _McapReading:
             if end > len(plain):
                 raise ValueError(f"a record inside claims {length} bytes")
             if opcode == Opcode.MESSAGE:
-                if length < _MESSAGE.size:
+                if length < _MESSAGE.itemsize:
                     raise ValueError(f"a message of {length} bytes")
-                inside.begins.append(at)
-                inside.ends.append(end)
+                more = inside.add(at, length)
+                count += more
+                end += more * (HEAD.size + length)
             elif opcode in _USED_IN_CHUNK:
                 if found := self.channels.told(opcode, plain[at:end]):
                     inside.channels[found[0]] = found[1]
@@ -285,10 +328,10 @@ class _McapReading:
         if opcode == Opcode.CHUNK:
             return self._chunk(body)
         if opcode == Opcode.MESSAGE:
-            if len(body) < _MESSAGE.size:
+            if len(body) < _HEAD.size:
                 raise ValueError(f"a message of {len(body)} bytes")
             self.unprotected = True
-            return self._messages(body, (0,), (len(body),))
+            return self._message(body)
         if opcode in _USED_IN_CHUNK:
             found = self.channels.told(opcode, body)
             return found[1:] if found else ()
@@ -300,28 +343,56 @@ class _McapReading:
         log_ns, create_ns = file.log_time, file.create_time
         return (RawAttachment(file.name, file.media_type, file.data, log_ns, create_ns),)
 
+    def _message(self, body: memoryview) -> Iterator[Record]:
+        """One that lies outside of chunks: see `_messages`, which is slow for one."""
+        number, sequence, log_ns, publish_ns = _HEAD.unpack_from(body)
+        channel = self.channels.get(number)
+        if channel is None:
+            channel = self.channels.of_summary(number)
+            if channel is None:
+                self.unknown += 1
+                return
+            yield channel
+        self.messages += 1
+        if self.topics is None or channel.topic in self.topics:
+            data = body[_HEAD.size :]
+            yield self._unpacked(RawMessage(channel, log_ns, data, publish_ns, sequence))
+
     def _messages(
-        self, plain: memoryview, begins: Iterable[int], ends: Iterable[int]
+        self, plain: memoryview, begins: NDArray[np.int64], ends: NDArray[np.int64]
     ) -> Iterator[Record]:
         """The messages between places; a channel comes before them if nothing described it yet."""
-        topics = self.topics
-        for begin, end in zip(begins, ends, strict=True):
-            number, sequence, log_ns, publish_ns = _MESSAGE.unpack_from(plain, begin)
+        if not len(begins):
+            return
+        heads = np.ndarray(len(plain) - _MESSAGE.itemsize + 1, _MESSAGE, plain, strides=(1,))
+        heads = heads[begins]
+        channels: dict[int, RawChannel] = {}
+        numbers, counts = np.unique(heads["number"], return_counts=True)
+        for number, count in zip(numbers.tolist(), counts.tolist(), strict=True):
             channel = self.channels.get(number)
             if channel is None:  # its description was in a damaged chunk perhaps
                 channel = self.channels.of_summary(number)
                 if channel is None:
-                    self.unknown += 1
+                    self.unknown += count
                     continue
                 yield channel
-            self.messages += 1
-            if topics is not None and channel.topic not in topics:
-                continue
-            data: bytes | memoryview = plain[begin + _MESSAGE.size : end]
-            if channel.encoding == "cdr" and data[:4] == ZSTD_MAGIC:
-                with suppress(ValueError):  # a damaged one is that message's matter
-                    data = unpack_message(data, self.budget)
-            yield RawMessage(channel, log_ns, data, publish_ns, sequence)
+            self.messages += count
+            if self.topics is None or channel.topic in self.topics:
+                channels[number] = channel
+        if len(channels) < len(numbers):
+            rows = np.isin(heads["number"], list(channels))
+            heads, begins, ends = heads[rows], begins[rows], ends[rows]
+        found = RawMessages(plain, channels, heads, begins + _MESSAGE.itemsize, ends)
+        if _are_packed(found):
+            yield from map(self._unpacked, found)
+        else:
+            yield found
+
+    def _unpacked(self, message: RawMessage) -> RawMessage:
+        if message.channel.encoding == "cdr" and message.data[:4] == ZSTD_MAGIC:
+            with suppress(ValueError):  # a damaged one is that message's matter
+                message.data = unpack_message(message.data, self.budget)
+        return message
 
     def _check_data(self, body: bytes, crc: int) -> None:
         (stated,) = struct.unpack_from("<I", body)
@@ -348,3 +419,30 @@ class _McapReading:
         with suppress(OverBudgetError):  # what is lost is said in any case
             self.budget.spend_records(DAMAGE_RECORDS)
         self.losses.append(Loss(what, at_byte=at, size=size))
+
+
+def _alike(plain: memoryview, at: int, length: int) -> int:
+    """How many messages of `length` bytes follow each other from `at` on."""
+    size = HEAD.size + length
+    most = (len(plain) - at) // size
+    count, block = 0, _FEWEST_ALIKE
+    while count < most:
+        block = min(4 * block, most - count)
+        start = at + count * size
+        opcodes = np.ndarray(block, np.uint8, plain, start, (size,))
+        lengths = np.ndarray(block, "<u8", plain, start + 1, (size,))
+        others = np.flatnonzero((opcodes != Opcode.MESSAGE) | (lengths != length))
+        if len(others):
+            return count + int(others[0])
+        count += block
+    return count
+
+
+def _are_packed(messages: RawMessages) -> bool:
+    """Whether a recorder packed one of them by itself."""
+    begins = messages.begins[messages.ends - messages.begins >= len(ZSTD_MAGIC)]
+    if not len(begins):
+        return False
+    magic = np.frombuffer(ZSTD_MAGIC, "<u4")
+    starts = np.ndarray(len(messages.plain) - 3, "<u4", messages.plain, strides=(1,))
+    return bool(np.any(starts[begins] == magic))

@@ -8,6 +8,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Mapping
+from dataclasses import replace
 from io import BytesIO
 from typing import BinaryIO
 
@@ -26,6 +27,10 @@ MCAP_DAMAGED = (*DAMAGED, McapError)
 
 _MOST_PARTS = 20_000
 """Numbers and texts that one record is made of, twice as many as the words of its metadata."""
+
+
+_MOST_REDEFINED = 10
+"""Numbers given away twice that are named; each costs trust in all samples."""
 
 
 class _Exact(BytesIO):
@@ -103,6 +108,10 @@ def unpacked_chunk(body: memoryview, budget: Budget) -> tuple[memoryview, bool]:
 class KnownChannels:
     """The channels of a file, by number: as it describes them on its way, else in its summary.
 
+    Attributes:
+        redefined: numbers that were given away twice, in words: nobody knows which of their
+            messages are whose.
+
     Args:
         file: open for reading; its position is left as it was.
         size: of the file [bytes].
@@ -114,6 +123,8 @@ class KnownChannels:
         self._schemas: dict[int, mcap_records.Schema] = {}
         self._channels: dict[int, RawChannel] = {}
         self._summary: dict[int, RawChannel] | None = None
+        self._told: dict[int, mcap_records.Channel] = {}
+        self.redefined: list[str] = []
         self.get = self._channels.get
 
     def told(self, opcode: int, body: memoryview) -> tuple[int, RawChannel] | None:
@@ -129,17 +140,29 @@ class KnownChannels:
             if schema.id not in self._schemas:
                 self._budget.spend_definition(len(schema.data))
                 self._schemas[schema.id] = schema
+            elif schema != self._schemas[schema.id]:
+                self._say_redefined(f"schema {schema.id}", schema.name)
             return None
         channel = mcap_records.Channel.read(stream)
         if channel.id in self._channels:
+            first = self._told.get(channel.id, channel)
+            if replace(channel, metadata={}) != replace(first, metadata={}):
+                self._say_redefined(f"channel {channel.id}, {first.topic},", channel.topic)
             return None
+        self._told[channel.id] = channel
         self._budget.spend_channel()
         found = self._channels[channel.id] = _with_schema(channel, self._schemas)
         return channel.id, found
 
+    def _say_redefined(self, what: str, name: str) -> None:
+        if len(self.redefined) < _MOST_REDEFINED:
+            said = f"{what} is defined again as {name}: which messages are whose is not known"
+            self.redefined.append(said)
+
     def forget(self, number: int) -> None:
         """Take a channel for unknown: what described it is damaged."""
         del self._channels[number]
+        self._told.pop(number, None)
 
     def of_summary(self, number: int) -> RawChannel | None:
         """A channel that nothing described yet; None where the summary does not know it either.

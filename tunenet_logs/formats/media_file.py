@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from tunenet_logs.errors import CHECK_DISK, COPY_AGAIN, LogError
 from tunenet_logs.formats.mp4_claims import CheckedFile
 from tunenet_logs.regular_file import open_regular
+from tunenet_logs.stopping import stop_now
 
 if TYPE_CHECKING:
     from av.container import InputContainer
@@ -54,6 +55,7 @@ def opened_media(path: Path, formats: str, what: str) -> Iterator[InputContainer
                 ) as container:
                     yield container
             finally:
+                stop_now()
                 if checked.refused is not None:
                     raise LogError(f"{path}: {checked.refused}; cut the drop out of it")
     except (FFmpegError, ValueError, OverflowError, MemoryError) as error:

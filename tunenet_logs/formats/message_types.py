@@ -173,6 +173,15 @@ def _joint_state(message: Any) -> JointSample:
     )
 
 
+def _dynamic_joints(message: Any) -> JointSample:
+    """Values of ros2_control by joint and interface; `JointRows` knows these names."""
+    parts = list(zip(message.joint_names, message.interface_values, strict=True))
+    names = tuple(f"{joint}/{name}" for joint, part in parts for name in part.interface_names)
+    values = [np.asarray(part.values, np.float64) for _, part in parts]
+    numbers = np.concatenate(values, axis=-1) if values else np.empty(0)
+    return JointSample(ros_stamp_ns(message), names, numbers, numbers[..., :0], numbers[..., :0])
+
+
 def _foxglove_joints(message: Any) -> JointSample:
     def values(field: str) -> list[float]:
         found = [_optional(joint, field) for joint in message.joints]
@@ -261,7 +270,7 @@ _MESSAGE_TYPES: dict[str, MessageType] = {
     "geometry_msgs/msg/PoseStamped": ros_pose("pose"),
     "geometry_msgs/msg/PoseWithCovarianceStamped": ros_pose("pose.pose"),
     "geometry_msgs/msg/PointStamped": ros_point("point"),
-    "geometry_msgs/msg/TransformStamped": PositionType(ros_transform),
+    "geometry_msgs/msg/TransformStamped": PositionType(ros_transform, names_one=True),
     "nav_msgs/msg/Odometry": ros_pose("pose.pose"),
     "tf2_msgs/msg/TFMessage": PositionType(ros_transforms),
     "foxglove.PoseInFrame": PositionType(foxglove_pose),
@@ -272,6 +281,7 @@ _MESSAGE_TYPES: dict[str, MessageType] = {
         lambda message: [foxglove_transform(transform) for transform in message.transforms]
     ),
     "sensor_msgs/msg/JointState": JointType(_joint_state),
+    "control_msgs/msg/DynamicJointState": JointType(_dynamic_joints),
     "foxglove.JointStates": JointType(_foxglove_joints),
     "trajectory_msgs/msg/JointTrajectory": PlanType(_trajectory),
     "std_msgs/msg/Float64MultiArray": _NUMBERS,

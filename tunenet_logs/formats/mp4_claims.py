@@ -7,6 +7,7 @@ import re
 from io import BufferedReader
 
 from tunenet_logs.errors import LogError
+from tunenet_logs.stopping import called_by_c, is_stopping
 
 _TABLES = (b"stsz", b"stz2", b"trun")
 """By which samples are claimed."""
@@ -84,9 +85,10 @@ class CheckedFile:
         self._file = file
         self._claims = Mp4Claims(os.fstat(file.fileno()).st_size)
 
+    @called_by_c
     def read(self, most: int) -> bytes:
         """The next bytes; none once it is refused."""
-        if self.refused is None:
+        if self.refused is None and not is_stopping():
             data = self._file.read(most)
             try:
                 self._claims.check(data)
@@ -96,11 +98,13 @@ class CheckedFile:
                 return data
         return b""
 
+    @called_by_c
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
         """Go elsewhere."""
         self._claims.skip()
         return self._file.seek(offset, whence)
 
+    @called_by_c
     def tell(self) -> int:
         """Where the next byte is."""
         return self._file.tell()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
+from heapq import heappop, heappush
 from itertools import groupby
 from typing import Any
 
@@ -20,12 +21,24 @@ from tunenet_logs.formats.base import (
     RawMessage,
     Record,
     UnusableError,
+    one_by_one,
 )
 from tunenet_logs.formats.decoders import Decoders
 from tunenet_logs.formats.message_types import PictureSample, PictureType, message_type_of
 from tunenet_logs.formats.video_messages import CODECS, Packet, decoded
 from tunenet_logs.images import MAX_PIXELS, image_format
 from tunenet_logs.pixels import PixelFormat, pixel_format_of
+
+
+def in_order(frames: Iterable[Frame], ahead: int) -> Iterator[Frame]:
+    """Frames by their stamps, that lie at most `ahead` places from their own."""
+    waiting: list[tuple[int, int, Frame]] = []
+    for number, frame in enumerate(frames):
+        heappush(waiting, (frame.stamp_ns, number, frame))
+        if len(waiting) > ahead:
+            yield heappop(waiting)[2]
+    while waiting:
+        yield heappop(waiting)[2]
 
 
 def frames_of(records: Iterable[Record], topic: str, *, trusts_header: bool) -> Iterator[Frame]:
@@ -79,7 +92,7 @@ def _found_in(
     """Whether it is a video's, its stamp [ns], and the picture."""
     readers: dict[RawChannel, tuple[Decode, Callable[[Any], PictureSample], bool]] = {}
     decoders = Decoders(SchemaBudget())
-    for record in records:
+    for record in one_by_one(records):
         if isinstance(record, RawChannel) and record.topic == topic:
             pictures = message_type_of(record)
             if isinstance(pictures, PictureType):

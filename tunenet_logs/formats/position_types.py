@@ -28,9 +28,14 @@ _LONGEST_FRAME = 200
 
 @dataclass(frozen=True)
 class PositionType:
-    """A type with positions."""
+    """A type with positions.
+
+    Attributes:
+        names_one: whether a message is of one body, whose name counts only among several.
+    """
 
     read: Callable[[Any], Iterable[PositionSample]]
+    names_one: bool = False
 
 
 def frame_of(message: Any, name: str = "frame_id") -> str:
@@ -64,14 +69,15 @@ def ros_pose(path: str) -> PositionType:
     def read(message: Any) -> Iterable[PositionSample]:
         pose = pose_of(message)
         turn = _quaternion(getattr(pose, "orientation", None))
-        yield _placed(ros_stamp_ns(message), "", frame_of(message.header), pose.position, turn)
+        name = frame_of(message, "child_frame_id")  # of odometry; a pose has none
+        yield _placed(ros_stamp_ns(message), name, frame_of(message.header), pose.position, turn)
 
-    return PositionType(read)
+    return PositionType(read, names_one=True)
 
 
 def ros_transform(message: Any) -> Iterable[PositionSample]:
-    """The position of a transform, under its topic's name."""
-    yield _ros_transform(message, "")
+    """The position of a transform."""
+    yield _ros_transform(message, frame_of(message, "child_frame_id"))
 
 
 def ros_transforms(message: Any) -> Iterable[PositionSample]:

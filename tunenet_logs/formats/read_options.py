@@ -11,7 +11,7 @@ from typing import TypedDict
 from tunenet_logs.errors import UsageError
 from tunenet_logs.formats.tables.meaning import LENGTHS
 
-_TARGETS = r"(?:t|frame|times|x|y|z|(?:position|velocity|effort|current)_[1-9]\d{0,2})"
+_TARGETS = r"(?:t|frame|times|object|x|y|z|(?:position|velocity|effort|current)_[1-9]\d{0,2})"
 """What a column can be said to be."""
 
 _ASSIGNMENT = re.compile(rf"(?:^|,)\s*({_TARGETS})\s*=")
@@ -51,7 +51,8 @@ class ReadOptions:
 
     Attributes:
         columns: which column or field (TOPIC.FIELD.FIELD of a log) is which: "t", "frame", "times"
-            (impact times), "x", "y", "z", "position_1", "velocity_1", "effort_1", "current_1", ...
+            (impact times), "object" (of which thing a row of a table is), "x", "y", "z",
+            "position_1", "velocity_1", "effort_1", "current_1", ...
         rate_hz: frames a second, of files that count frames.
         length_unit: of positions, one of `LENGTHS` or "px"; "" to go by the file.
         torque_constants: N·m for each A of a motor's current, joint by joint.

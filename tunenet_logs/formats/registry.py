@@ -35,6 +35,7 @@ from tunenet_logs.formats.exports.robots.robot_table import is_robot_table, read
 from tunenet_logs.formats.exports.sheets.sensor_runs import is_sensor_runs, read_sensor_runs
 from tunenet_logs.formats.exports.sheets.sheets import is_sheets, read_sheets
 from tunenet_logs.formats.exports.start import Start, start_of
+from tunenet_logs.formats.exports.trackers.deeplabcut import is_deeplabcut, read_deeplabcut
 from tunenet_logs.formats.exports.trackers.imagej import is_imagej, read_imagej
 from tunenet_logs.formats.exports.trackers.tracker import is_tracker, read_tracker
 from tunenet_logs.formats.foreign_kinds import foreign_kind
@@ -51,7 +52,7 @@ from tunenet_logs.formats.read_options import AS_IT_SAYS, ReadOptions
 from tunenet_logs.formats.ros import ros_decoder
 from tunenet_logs.formats.ros2_folder import read_folder
 from tunenet_logs.formats.sound_file import is_sound_alone, named_as_sound, read_sound
-from tunenet_logs.formats.tables.lines import SUFFIXES, is_table
+from tunenet_logs.formats.tables.lines import SUFFIXES, has_rows
 from tunenet_logs.formats.video import read_video
 from tunenet_logs.regular_file import open_regular
 
@@ -63,6 +64,7 @@ _EXPORTS: tuple[tuple[Callable[[Start], bool], Callable[[Path, ReadOptions], Epi
     (is_c3d, read_c3d),
     (is_tracker, read_tracker),
     (is_imagej, read_imagej),
+    (is_deeplabcut, read_deeplabcut),
     (is_sensor_runs, read_sensor_runs),
     (is_sheets, read_sheets),
     (is_robot_table, read_robot_table),
@@ -74,6 +76,9 @@ _EXPORTS: tuple[tuple[Callable[[Start], bool], Callable[[Path, ReadOptions], Epi
 )
 """What programs and instruments export, by how its files begin; the first that knows a file reads
 it."""
+
+_KNOWN = "an MCAP log, a bag (.bag, .db3), a table of text, a video or sound"
+"""What is read, in short."""
 
 _START_BYTES = 16
 """Of a file, by which one of messages is known."""
@@ -160,7 +165,7 @@ def is_known(path: Path) -> bool:
     if compression := compression_of(first):
         return message_file(unpacked_start(path, compression, _START_BYTES)) is not None
     start = start_of(path)
-    return any(is_this(start) for is_this, _ in _EXPORTS) or is_table(path)
+    return any(is_this(start) for is_this, _ in _EXPORTS) or has_rows(start.lines)
 
 
 def _read_foreign(path: Path, options: ReadOptions) -> Episode:
@@ -170,8 +175,8 @@ def _read_foreign(path: Path, options: ReadOptions) -> Episode:
         for is_this, read in _EXPORTS:
             if is_this(start):
                 return read(path, options)
-        if is_table(path):
-            return read_csv(path, options)
+        if start.is_text:
+            return _read_text(start, options)
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror})", CHECK_DISK) from error
     try:
@@ -185,11 +190,26 @@ def _read_foreign(path: Path, options: ReadOptions) -> Episode:
         if named_as_sound(path):
             return read_sound(path, options)
         why = error.what.removeprefix(f"{path}: ")
-        known = (
-            f"an MCAP log, a bag (.bag, .db3), a table ({', '.join(SUFFIXES)}), a video or sound"
-        )
         remedy = "convert it to one of these or, if it is one, record or copy it again"
-        raise LogError(f"{path}: is not {known}: it {why}; {remedy}") from error
+        raise LogError(f"{path}: is not {_KNOWN}: it {why}; {remedy}") from error
+
+
+def _read_text(start: Start, options: ReadOptions) -> Episode:
+    """A table, under any name.
+
+    Raises:
+        LogError: it is some other text, or see `read_csv`.
+    """
+    path = start.path
+    if kind := foreign_kind(start.data, path):
+        what, remedy = kind
+        raise LogError(f"{path}: is {what}, which is not read as it is", remedy)
+    if path.suffix.lower() not in SUFFIXES and not options.columns and not has_rows(start.lines):
+        raise LogError(
+            f"{path}: is not {_KNOWN}: it is text in which no line is a row of numbers",
+            "name the log itself, or write a table with a line of names such as t,x,y,z",
+        )
+    return read_csv(path, options)
 
 
 def _open_packed(path: Path, compression: str, options: ReadOptions) -> Container | Episode:

@@ -6,6 +6,7 @@ wrote.
 
 from __future__ import annotations
 
+import re
 from contextlib import suppress
 from functools import cache, lru_cache
 from typing import Any
@@ -21,6 +22,7 @@ from rosbags.typesys.store import Typestore
 
 from tunenet_logs import messages
 from tunenet_logs.formats.base import DAMAGED, Decode, MessageError, RawChannel, UnusableError
+from tunenet_logs.formats.ros_any import any_ros_type
 from tunenet_logs.formats.ros_definitions import MOST_SCHEMA_BYTES, RosTypes, idl_types, types_of
 
 # Foxglove's types as ROS messages; they begin alike.
@@ -30,10 +32,14 @@ _TRANSFORM = (
     "geometry_msgs/Vector3 translation\n"
 )
 
+SCHEMA_ENCODINGS = {"cdr": ("ros2msg", "ros2idl", "omgidl"), "ros1": ("ros1msg",)}
+"""Definitions that are read, by the encoding of the messages."""
+
 _PARSERS = {
     "ros2msg": get_types_from_msg,
     "ros1msg": get_types_from_msg,
     "ros2idl": lambda text, _name: idl_types(text),
+    "omgidl": lambda text, _name: idl_types(text),
 }
 """Parsers of definitions, by schema encoding; they build field lists and run nothing."""
 
@@ -41,6 +47,11 @@ _FOREIGN = {
     "kinova_msgs": dict.fromkeys(
         ("JointAngles", "JointTorque", "JointVelocity"), messages.SEVEN_JOINTS
     ),
+    "control_msgs": {
+        "InterfaceValue": "string[] interface_names\nfloat64[] values",
+        "DynamicJointState": "std_msgs/Header header\nstring[] joint_names\n"
+        "control_msgs/InterfaceValue[] interface_values",
+    },
     "tunenet_msgs": {"TaskOutcome": messages.OUTCOME_FIELDS},
     "foxglove_msgs": {
         "PoseInFrame": f"{_FRAME}geometry_msgs/Pose pose",
@@ -54,19 +65,27 @@ _FOREIGN = {
         "uint8[] data",
     },
 }
-"""Types that no distribution of ROS defines: of Kinova's driver, ours, and Foxglove's."""
+"""Types that no distribution of ROS defines: of Kinova's driver, ros2_control, ours, Foxglove's."""
 
 _SAME_TYPE = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
 """Old names of types: ROS 1 moved this one to another package."""
 
 
 def ros_name(type_name: str) -> str:
-    """A type as ROS 2 writes it: "sensor_msgs/JointState" is "sensor_msgs/msg/JointState"."""
-    package, _, name = type_name.partition("/")
+    """A type as ROS 2 writes it: "sensor_msgs/JointState" is "sensor_msgs/msg/JointState".
+
+    So is "sensor_msgs::msg::JointState", as the IDL of the OMG writes it.
+    """
+    package, _, name = type_name.replace("::", "/").partition("/")
     if name and "/" not in name:
         name = f"msg/{name}"
     full = f"{package}/{name}" if name else package
     return _SAME_TYPE.get(full, full)
+
+
+def plain_type(type_name: str) -> str:
+    """A type without its package: "JointState"."""
+    return re.split(r"[/.:]", type_name)[-1]
 
 
 def ros_decoder(channel: RawChannel) -> Decode:
@@ -84,7 +103,7 @@ def ros_decoder(channel: RawChannel) -> Decode:
         if name not in store.types:
             raise UnusableError("its type is not known here")
     else:
-        encodings = ("ros1msg",) if is_ros1 else ("ros2msg", "ros2idl")
+        encodings = SCHEMA_ENCODINGS[channel.encoding]
         if channel.schema_encoding not in encodings:
             raise UnusableError(
                 f"schema encoding {channel.schema_encoding[:20]!r} is not read "
@@ -100,12 +119,20 @@ def ros_decoder(channel: RawChannel) -> Decode:
     deserialize = store.deserialize_ros1 if is_ros1 else store.deserialize_cdr
 
     def decode(data: bytes | memoryview) -> Any:
+        if not is_ros1 and len(data) > 1 and not data[0] and data[1] > 1:
+            return _other_cdr(name)(data)
         try:
             return deserialize(data, name)  # type: ignore[arg-type]
         except (SerdeError, *DAMAGED) as error:
             raise MessageError(f"a {name} message is damaged: {error}") from error
 
     return decode
+
+
+@cache
+def _other_cdr(name: str) -> Decode:
+    """Decodes a known type in CDR of another version than that of ROS 2."""
+    return any_ros_type(known_types(is_ros1=False), name, is_ros1=False)[1]
 
 
 @lru_cache(maxsize=64)

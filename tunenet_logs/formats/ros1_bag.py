@@ -39,6 +39,7 @@ from tunenet_logs.formats.ros1_records import (
     fields_of,
     head_at,
 )
+from tunenet_logs.progress import silent, teller
 from tunenet_logs.regular_file import open_regular
 
 MAGIC = b"#ROSBAG V"
@@ -125,8 +126,10 @@ class _BagReading:
             OverBudgetError: there are too many.
         """
         at = len(MAGIC) + len(_VERSION)
+        tell = teller("reading") if self.topics is None else silent
         while at < self.file.size:
             self.at = at
+            tell(self.budget.share(at))
             self.has_index |= at == self.index_at
             self.budget.spend_records()
             try:

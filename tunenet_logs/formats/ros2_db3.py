@@ -26,6 +26,7 @@ from tunenet_logs.formats.database import (
     opened,
     table_of,
 )
+from tunenet_logs.progress import silent, teller
 
 # Columns of the tables of a ROS 2 bag, as rosbag2 names them.
 _MESSAGES = ("topic_id", "timestamp", "data")
@@ -83,10 +84,12 @@ class _Db3Reading:
         damaged = unknown = seen = last = 0
         first = ""
         before = len(self._losses)
+        tell = teller("reading") if topics is None else silent
         try:
             for last, values in self._only(table, topics).rows(database, self._losses):
                 seen += 1
                 self._budget.spend_records()
+                tell(self._budget.spent_bytes / max(self._budget.file_bytes, 1))
                 channel = self._channels.get(values[0]) if type(values[0]) is int else None
                 if channel is None:
                     unknown += 1
@@ -99,9 +102,10 @@ class _Db3Reading:
         except OverBudgetError as error:
             self._lose(f"reading stopped at message {last}, as {error}; the rest was left out")
         if last > seen and len(self._losses) == before:
-            self._lose(f"{last - seen} of its messages are missing among those numbered to {last}")
+            what = f"{last - seen} of its messages are missing among those numbered to {last}"
+            self._lose(what, last - seen)
         if damaged:
-            self._lose(f"{damaged} messages are damaged (the first: {first})")
+            self._lose(f"{damaged} messages are damaged (the first: {first})", damaged)
         if unknown:
             self._lose(f"{unknown} messages belong to topics that nothing describes")
 
@@ -120,8 +124,8 @@ class _Db3Reading:
         plain = unpack_message(data, self._budget) if data[:4] == ZSTD_MAGIC else data
         return RawMessage(channel, log_ns, plain, log_ns)
 
-    def _lose(self, what: str) -> None:
-        self._losses.append(Loss(what))
+    def _lose(self, what: str, messages: int | None = None) -> None:
+        self._losses.append(Loss(what, messages=messages))
 
 
 def _channels(

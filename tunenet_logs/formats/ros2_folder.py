@@ -65,6 +65,7 @@ def read_folder(
                 if isinstance(record, RawMetadata) and record.name == INFO_RECORD:
                     described.add(file)
                 yield record
+            budget.files_bytes += file.stat().st_size
         except LogError as error:
             trouble = error.what.removeprefix(f"{file}: ")
             troubles.append(f"{file.name} {trouble}")

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -80,23 +81,65 @@ def any_ros_type(
     Raises:
         UnusableError: the definition is not complete, or makes no sense.
     """
-    part = _Type(types, is_ros1=is_ros1, order="<").part(name)
+    part = _Type(types, is_ros1=is_ros1, layout=_LAYOUTS[1]).part(name)
     assert isinstance(part.node, Structure)
     if is_ros1:
         return part.node, _decoder(name, part.read)
-    backward: list[Read] = []  # big-endian is rare: not built before a message is
+    decoders = {1: [_decoder(name, part.read, 4)]}  # the others are rare: not built before needed
 
     def decode(data: bytes | memoryview) -> Any:
-        if len(data) < 4 or data[0] or data[1] > 1:
+        if len(data) < 4 or data[0] or data[1] not in _LAYOUTS:
+            if len(data) >= 4 and not data[0] and data[1] in _WITH_HEADERS:
+                raise UnusableError(f"its messages are {_WITH_HEADERS[data[1]]}")
             raise MessageError(f"a {name} message is damaged: it is no plain CDR")
-        if data[1]:
-            return little(data)
-        if not backward:
-            backward.append(_Type(types, is_ros1=False, order=">").part(name).read)
-        return _decoder(name, backward[0], 4)(data)
+        kind = data[1]
+        if kind not in decoders:
+            layouts = [_LAYOUTS[kind]]
+            if layouts[0].is_xcdr2:  # some writers leave the sizes of lists out
+                layouts.append(replace(layouts[0], has_sizes=False))
+            made = (_Type(types, is_ros1=False, layout=one).part(name) for one in layouts)
+            decoders[kind] = [_decoder(name, one.read, 4) for one in made]
+        for tried in decoders[kind][:-1]:
+            with suppress(MessageError):
+                return tried(data)
+        return decoders[kind][-1](data)
 
-    little = _decoder(name, part.read, 4)
     return part.node, decode
+
+
+@dataclass(frozen=True)
+class _CdrLayout:
+    """How CDR lays a message out.
+
+    Attributes:
+        order: of bytes, as `struct` calls it.
+        most_mask: numbers begin at multiples of their size, or of this and one.
+        has_sizes: whether a list of what are no numbers begins with its size in bytes.
+    """
+
+    order: str
+    most_mask: int = 7
+    has_sizes: bool = False
+
+    @property
+    def is_xcdr2(self) -> bool:
+        """Whether it is version 2 of the encoding."""
+        return self.most_mask == 3
+
+
+_LAYOUTS = {
+    0: _CdrLayout(">"),
+    1: _CdrLayout("<"),
+    6: _CdrLayout(">", 3, has_sizes=True),
+    7: _CdrLayout("<", 3, has_sizes=True),
+}
+"""By what a message's second byte says: plain CDR, and plain XCDR2 (DDS-XTypes 1.3, 7.6.3.1.2)."""
+
+_WITH_HEADERS = dict.fromkeys(
+    (2, 3, 8, 9, 10, 11),
+    "of a DDS type that may be extended (CDR with headers), which are not read; publish it as "
+    "final (@final in its IDL), or record it through ROS 2",
+)
 
 
 def _decoder(name: str, read: Read, begin: int = 0) -> Decode:
@@ -143,10 +186,11 @@ def _message(names: Sequence[str], values: Sequence[Any]) -> Message:
 class _Type:
     """Builds the functions of a type, and of those that it is made of."""
 
-    def __init__(self, types: RosTypes, *, is_ros1: bool, order: str) -> None:
+    def __init__(self, types: RosTypes, *, is_ros1: bool, layout: _CdrLayout) -> None:
         self._types = types
         self._is_ros1 = is_ros1
-        self._order = order
+        self._layout = layout
+        self._order = layout.order
         self._known: dict[str, _Part] = {}
         self._open: list[str] = []
 
@@ -205,10 +249,14 @@ class _Type:
                 steps.append(_one(part.read))
         return [*steps, self._numbers(run)] if run else steps
 
+    def _mask(self, codes: str) -> int:
+        """The size of the numbers' alignment, less one."""
+        return 0 if self._is_ros1 else min(_SIZES[codes[0]] - 1, self._layout.most_mask)
+
     def _numbers(self, codes: str) -> Read:
         layout = struct.Struct(self._order + codes)
         unpack, size = layout.unpack_from, layout.size
-        mask = 0 if self._is_ros1 else _SIZES[codes[0]] - 1
+        mask = self._mask(codes)
 
         def read(data: bytes, at: int) -> tuple[Any, int]:
             at = (at + mask) & ~mask
@@ -264,9 +312,12 @@ class _Type:
         kinds: Any = [(name, self._order + code) for name, code in zip(names, codes, strict=False)]
         dtype = np.dtype(kinds if names else self._order + codes)
         size = dtype.itemsize
-        mask = 0 if self._is_ros1 else _SIZES[codes[0]] - 1
+        mask = self._mask(codes)
+        has_size = bool(names) and self._layout.has_sizes
 
         def read(data: bytes, at: int) -> tuple[Any, int]:
+            if has_size:
+                _, at = self._length(data, at)
             number = count
             if not count:
                 number, at = self._length(data, at)
@@ -283,8 +334,11 @@ class _Type:
     def _many(self, part: _Part, count: int) -> Read:
         one, least = part.read, part.least
 
+        has_size = self._layout.has_sizes
+
         def read(data: bytes, at: int) -> tuple[Any, int]:
-            number = count
+            size, begin = self._length(data, at) if has_size else (0, at)
+            number, at = count, begin
             if not count:
                 number, at = self._length(data, at)
             if number * least > len(data) - at:
@@ -295,6 +349,8 @@ class _Type:
             for _ in range(number):
                 value, at = one(data, at)
                 found.append(value)
+            if has_size and at - begin != size:
+                raise ValueError(f"a list claims {size} bytes")
             return found, at
 
         return read

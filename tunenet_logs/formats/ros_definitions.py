@@ -89,18 +89,19 @@ def parsed(schema: bytes, encoding: str, name: str) -> RosTypes:
 
     Args:
         schema: the text.
-        encoding: "ros2msg", "ros1msg" or "ros2idl".
+        encoding: "ros2msg", "ros1msg", "ros2idl" or "omgidl".
         name: of the type, in full.
 
     Raises:
         UnusableError: it is too large, or makes no sense.
     """
-    most = _MOST_IDL_BYTES if encoding == "ros2idl" else MOST_SCHEMA_BYTES
+    is_idl = encoding in ("ros2idl", "omgidl")
+    most = _MOST_IDL_BYTES if is_idl else MOST_SCHEMA_BYTES
     if len(schema) > most:
         raise UnusableError("its definition is too large")
     try:
         text = schema.decode()
-        if encoding == "ros2idl":
+        if is_idl:
             return types_of(idl_types(text))
         return _parsed(text, name)
     except (TypesysError, *DAMAGED) as error:

@@ -15,6 +15,7 @@ from tunenet_logs.formats.by_shape import (
     stamp_steps,
 )
 from tunenet_logs.formats.position_types import PositionSample
+from tunenet_logs.formats.ros import SCHEMA_ENCODINGS
 from tunenet_logs.formats.stamps import time_ns
 from tunenet_logs.formats.structure import Structure, likely_field, numbers_in
 
@@ -125,6 +126,9 @@ def shape_messages(channel: RawChannel, budget: SchemaBudget) -> ShapeMessages |
     try:
         kind = any_type(channel, budget)
     except UnusableError:
+        known = SCHEMA_ENCODINGS.get(channel.encoding)
+        if known and channel.schema_encoding and channel.schema_encoding not in known:
+            raise  # it may well be a type that a task uses
         return None
     if kind.structure is None:
         return ShapeMessages(kind, None, None, budget)

@@ -17,6 +17,7 @@ from tunenet_logs.formats.base import (
     RawMessage,
     Record,
     UnusableError,
+    one_by_one,
 )
 from tunenet_logs.formats.decoders import Decoders
 from tunenet_logs.formats.gathered_sound import RATES_HZ, SoundGatherer, reduced_hz
@@ -75,7 +76,7 @@ def sound_of(
     readers: dict[RawChannel, tuple[Decode, Callable[[Any], SoundSample]]] = {}
     decoders = Decoders(SchemaBudget())
     gathering: _Gathering | None = None
-    for record in records:
+    for record in one_by_one(records):
         if isinstance(record, RawChannel) and record.topic == topic:
             kind = message_type_of(record)
             if isinstance(kind, SoundType):

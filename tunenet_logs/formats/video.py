@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import re
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
@@ -225,6 +226,12 @@ def read_video(path: Path, options: ReadOptions = AS_IT_SAYS) -> Episode:
 def _most_pixels(path: Path) -> int:
     """That the pictures of a film may have together."""
     return FREE_VIDEO_PIXELS + VIDEO_PIXELS_A_BYTE * path.stat().st_size
+
+
+def is_rate_said(notes: Mapping[str, str]) -> bool:
+    """Tell by `video_notes` whether a tag or a person named another rate than the file plays at."""
+    rates = re.findall(r"[\d.]{1,20}", notes.get("rate_hz", ""))
+    return len(rates) == 2 and rates[0] != rates[1]
 
 
 def video_notes(video: Video) -> dict[str, str]:

@@ -12,6 +12,7 @@ from itertools import count
 from pathlib import Path
 
 from tunenet_logs.errors import LogError
+from tunenet_logs.output.owned_file import OWN_LOG_BYTES, is_own_log
 from tunenet_logs.output.rename_new import rename_new, sync_folder
 
 _TRIES = 100
@@ -33,7 +34,7 @@ class ClaimedName:
 
     Args:
         path: the name.
-        takes_over: whether what a process left there that is gone may be lost.
+        takes_over: whether a log of ours that a process left there that is gone may be lost.
 
     Attributes:
         is_kept: whether the file stays where its claim is dropped without a word, as by a signal
@@ -169,6 +170,8 @@ def _clear(path: Path, *, takes_over: bool) -> None:
                 f"{path}: may be written right now, which this file system does not tell; move it "
                 f"away, or {_ELSEWHERE}"
             )
+        if not is_own_log(os.pread(left, OWN_LOG_BYTES, 0)):
+            raise LogError(f"{path}: is no log of tunenet-logs; move it away, or {_ELSEWHERE}")
         with suppress(FileNotFoundError):
             # Who holds the lock of the file under the name is alone with it.
             if os.path.samestat(os.lstat(path), os.fstat(left)):

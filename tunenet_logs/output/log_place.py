@@ -12,6 +12,7 @@ from pathlib import Path
 
 from tunenet_logs.errors import LogError
 from tunenet_logs.output.claimed_name import ClaimedName
+from tunenet_logs.output.owned_file import OutputPlace, own_log
 from tunenet_logs.output.whole_file import free_bytes
 
 ACTIVE_SUFFIX = ".active"
@@ -38,13 +39,13 @@ def check_log_name(path: Path, *, overwrite: bool) -> None:
 
     Args:
         path: the log.
-        overwrite: whether it may replace one that is there.
+        overwrite: whether it may replace one of ours that is there; nothing else ever is.
 
     Raises:
         LogError: it cannot; with the reason.
     """
-    if path.is_dir():
-        raise LogError(f"{path}: is a directory; name a file to write")
+    if why := OutputPlace(path, "log", own_log).why_not():
+        raise LogError(why)
     if os.path.lexists(path) and not overwrite:
         raise LogError(f"{path}: exists; choose another name with -o, or pass --overwrite")
 
@@ -107,8 +108,10 @@ class LogPlace:
         """
         claim = self.claim
         try:
-            with suppress(OSError):
+            with suppress(OSError, LogError):
                 replaces = self._overwrite and not is_cut
+                if replaces:  # somebody else's may have come meanwhile
+                    check_log_name(self.path, overwrite=True)
                 if is_whole and claim.rename(self.path, replaces=replaces):
                     return self.path
             if or_nothing:

@@ -36,7 +36,7 @@ _MOST_RESTITUTION = 0.95
 """Of any ball that is heard; a beat that hardly quickens has more."""
 
 _LEAST_SLOPE = -0.01
-"""Of the slope in the middle of its interval: no ball bounces better the faster it is, but flights
+"""Of the slope at its interval's upper end: no ball bounces better the faster it is, but flights
 that shorten by one time each look so."""
 
 _ENOUGH = 5
@@ -81,7 +81,7 @@ def times_checks(detection: TimesDetection, last: Step, fit: FitResult | None) -
             f"{most})",
             advice="record five bounces or more in a quiet room",
             doubts_model=share > _MOST_WRONG,
-            fatal=share > _MOST_WRONG,
+            fatal=share > _MOST_WRONG or heard.log_odds < 0,
         ),
         Check(
             "times are sharp",
@@ -94,13 +94,14 @@ def times_checks(detection: TimesDetection, last: Step, fit: FitResult | None) -
         start_s = float(heard.times_s[0])
         checks += _sound_checks(detection.among, start_s, symptom=not is_ball or is_beat)
     checks += rhythm
-    slope = float(heard.interval95[1].mean())
+    slope = float(heard.interval95[1, 1])
     checks.append(
         Check(
             "slows as balls do",
             slope > _LEAST_SLOPE,
-            f"its restitution {'falls' if slope > 0 else 'grows'} with speed, by a power of "
-            f"{abs(slope):.3f} (it may grow by {-_LEAST_SLOPE:g} at most)",
+            f"its restitution {'may fall' if slope > 0 else 'grows'} with speed, by a power of "
+            f"{'up to' if slope > 0 else 'at least'} {abs(slope):.3f} (it may grow by "
+            f"{-_LEAST_SLOPE:g} at most)",
             advice="record one ball that bounces freely",
         )
     )
@@ -176,6 +177,7 @@ def _no_rhythm(heard: HeardBall, softening_odds: float) -> tuple[Check, Check]:
             "a ball rather than a rhythm",
             log_odds > _NO_RHYTHM,
             f"{odds:.3g} to 1 against {name} (wanted: {np.exp(_NO_RHYTHM):.0f} to 1)",
+            fatal=log_odds < 0,
             advice="record more bounces of one ball, near the microphone",
         ),
         Check(

@@ -22,6 +22,7 @@ from recorders.simulators.drop import TOPIC, DropRig, DropSimulator
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import NotFoundError, UsageError
+from tunenet_logs.left_out import LeftOut
 from tunenet_logs.terminal import listed
 
 FEWEST_IMPACTS = 3
@@ -55,6 +56,7 @@ class TimesDetection:
         ball: what was dropped, as far as it is known.
         warnings: what a user should know, in words.
         listened: the sound that they were found in; None where a log gives times.
+        left_out: what the signal or the sound lacks.
     """
 
     topic: str
@@ -64,6 +66,7 @@ class TimesDetection:
     ball: Ball
     warnings: tuple[str, ...] = ()
     listened: Listened | None = None
+    left_out: tuple[LeftOut, ...] = ()
 
     @property
     def uses_ball(self) -> bool:

@@ -11,7 +11,6 @@ import numpy as np
 from analysis.evaluation.drop.curves import FLOOR, PANELS, ErrorCurve, error_curves
 from analysis.evaluation.drop.results import DropResults
 from analysis.optional_dependencies import needed
-from analysis.result_files import replacing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,8 +23,8 @@ _MOST = 100
 """Rollouts: the paper's last, where no limit was given."""
 
 
-def write_figure(results: DropResults, path: Path) -> None:
-    """Write the figure as PNG, for a page's width.
+def write_figure(results: DropResults, path: Path, made: str) -> None:
+    """Write the figure as PNG, for a page's width, with the mark by which it is known.
 
     Raises:
         UsageError: matplotlib is not installed.
@@ -33,8 +32,7 @@ def write_figure(results: DropResults, path: Path) -> None:
     """
     needed("matplotlib")
     figure = draw_figure(results)
-    with replacing(path) as partial:
-        figure.savefig(partial, format="png", dpi=120)
+    figure.savefig(path, format="png", dpi=120, metadata={"Software": made})
 
 
 def draw_figure(results: DropResults) -> Figure:

@@ -33,6 +33,6 @@ def print_sound(
             yield sound_table(section, outcomes, order)
 
     return blocks(), {
-        "json": lambda path: write_json_to(path, sound_json(found, order)),
-        "csv": lambda path: write_text_to(path, sound_csv(found)),
+        "json": lambda to: write_json_to(to, sound_json(found, order)),
+        "csv": lambda to: write_text_to(to, sound_csv(found)),
     }

@@ -33,6 +33,6 @@ def print_sysid(
             yield sysid_table(section, outcomes, order)
 
     return blocks(), {
-        "json": lambda path: write_json_to(path, sysid_json(all_of_them, order)),
-        "csv": lambda path: write_text_to(path, sysid_csv(all_of_them)),
+        "json": lambda to: write_json_to(to, sysid_json(all_of_them, order)),
+        "csv": lambda to: write_text_to(to, sysid_csv(all_of_them)),
     }

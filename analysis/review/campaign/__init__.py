@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 from pathlib import Path
 
 import rerun as rr
@@ -11,7 +10,7 @@ import rerun.blueprint as rrb
 
 from analysis.campaign.build import Campaign
 from analysis.campaign.rates import ball_rates, overall_rates, restitutions_by_ball
-from analysis.result_files import replacing
+from analysis.result_files import subject_of
 from analysis.review.campaign.attempt import attempt_view, log_attempts
 from analysis.review.campaign.charts import log_rates, log_restitutions
 from analysis.review.campaign.film import film_view
@@ -20,7 +19,6 @@ from analysis.review.campaign.overlay import overlay_view
 from analysis.review.campaign.times import ATTEMPT, slots_of
 from analysis.review.campaign.words import campaign_words
 from analysis.review.drawing import application_id
-from tunenet_logs.regular_file import real_path
 from tunenet_logs.terminal import short_name
 
 _LANES_SHARE = 0.36
@@ -31,14 +29,13 @@ _MOST_LETTERS = 40
 
 
 def write_campaign(campaign: Campaign, path: Path) -> None:
-    """Write the review of a campaign to `path` (.rrd), whole or not at all.
+    """Write the review of a campaign to `path` (.rrd).
 
     Raises:
         OSError: `path` cannot be written.
     """
     words = campaign_words(campaign)
-    shown = os.fsencode(real_path(path)) + words.encode()
-    identity = hashlib.sha256(shown).hexdigest()[:16]
+    identity = subject_of(campaign.places) + hashlib.sha256(words.encode()).hexdigest()[:16]
     stream = rr.RecordingStream(application_id("campaign"), recording_id=identity)
     memory = stream.memory_recording()
     stream.send_recording_name(campaign.name)
@@ -56,8 +53,7 @@ def write_campaign(campaign: Campaign, path: Path) -> None:
     )
     stream.log("summary", rr.TextDocument(words, media_type="text/markdown"), static=True)
     stream.flush()
-    with replacing(path) as partial:
-        partial.write_bytes(memory.drain_as_bytes())
+    path.write_bytes(memory.drain_as_bytes())
     stream.disconnect()
 
 

@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from tunenet_logs.arrays import Array
+from tunenet_logs.csv_lines import csv_line, text_of
 from tunenet_logs.errors import LogError, UsageError
+from tunenet_logs.output.owned_file import OutputPlace, begins_with
 from tunenet_logs.regular_file import open_regular_text
 from tunenet_logs.terminal import short_name
 
@@ -44,7 +46,7 @@ def _read(file: Path, lines: Iterable[list[str]]) -> tuple[tuple[str, ...], Arra
         if not any(cell.strip() for cell in cells):
             continue
         if not header:
-            header = [cell.strip() for cell in cells]
+            header = [text_of(cell.strip()) for cell in cells]
             _check_header(file, header)
             continue
         rows.append(_row(file, number, cells, header))
@@ -97,18 +99,23 @@ def write_path_file(
         names: of the J joints.
         seconds: shape (T,).
         position_rad: shape (T, J).
-        overwrite: replace a file that is there.
+        overwrite: replace a path of the same joints that is there.
 
     Raises:
-        LogError: the file is there already, or cannot be written.
+        LogError: something is there already, or it cannot be written.
     """
+    rows = [csv_line(["time_s", *names])]
+    begins = begins_with(rows[0].encode())
+    for time_s, angles in zip(seconds.tolist(), position_rad.tolist(), strict=True):
+        rows.append(csv_line([f"{time_s:.6f}", *(f"{angle:.12f}" for angle in angles)]))
+    place = OutputPlace(file, "path of these joints", begins, elsewhere="choose another name")
+    why = place.why_not()
+    if why is None and file.exists() and not overwrite:
+        why = f"{file}: exists; choose another name, or give --overwrite"
+    if why:
+        raise LogError(why)
     try:
-        with file.open("w" if overwrite else "x", encoding="utf-8", newline="") as stream:
-            table = csv.writer(stream, lineterminator="\n")
-            table.writerow(["time_s", *names])
-            for time_s, angles in zip(seconds.tolist(), position_rad.tolist(), strict=True):
-                table.writerow([f"{time_s:.6f}", *(f"{angle:.12f}" for angle in angles)])
-    except FileExistsError as error:
-        raise LogError(f"{file}: exists; choose another name, or give --overwrite") from error
+        with place.replacing() as partial:
+            partial.write_text("".join(rows), "utf-8")
     except OSError as error:
         raise LogError(f"{file}: cannot be written ({error.strerror})") from error

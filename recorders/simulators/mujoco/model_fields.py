@@ -94,6 +94,15 @@ FIELDS: Mapping[str, Mapping[str, ModelField]] = {
     },
 }
 
+TUNED_ARRAYS = sorted(
+    {
+        f"opt.{one.array}" if kind == "option" else one.array
+        for kind, fields in FIELDS.items()
+        for one in fields.values()
+    }
+)
+"""All that a parameter may change in a compiled model."""
+
 SLIDING_UNITS = {
     "N·m·s/rad": "N·s/m",
     "N·m": "N",

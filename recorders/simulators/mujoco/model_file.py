@@ -18,7 +18,7 @@ from recorders.simulators.mujoco.model_elements import (
     without_namespace,
 )
 from recorders.simulators.mujoco.model_folder import ModelFolder
-from recorders.simulators.mujoco.model_trial import ModelText, check_compiles
+from recorders.simulators.mujoco.model_process import ModelProcess, ModelText
 from recorders.simulators.strangers_xml import parse_xml, refuse_xacro
 from tunenet_logs.errors import UsageError
 from tunenet_logs.terminal import short_name
@@ -33,16 +33,17 @@ _WITH_FILE = ("mesh", "flexcomp", "hfield", "skin")
 _MESHES = (".stl", ".obj", ".msh")
 
 
-def read_model(path: Path, home: Path | None = None) -> Any:
+def read_model(path: Path, home: Path | None = None, process: ModelProcess | None = None) -> Any:
     """A model, ready to compile; textures are plain, and a URDF's visual shapes are left out.
 
     Args:
         path: an MJCF or a URDF.
         home: another folder that its meshes and included files may come from; beside its own, and
             the ROS package that it lies in.
+        process: where it is compiled once before; by default one of its own.
 
     Returns:
-        A `mujoco.MjSpec`, with its meshes in it; it was compiled once, in another process.
+        A `mujoco.MjSpec`, with its meshes in it.
 
     Raises:
         UsageError: it cannot be read, names files outside its folder, runs code of others, or
@@ -52,7 +53,7 @@ def read_model(path: Path, home: Path | None = None) -> Any:
     reader = _ModelReader(folder)
     data = folder.read(folder.path, f"{path}:", is_xml=True)
     text = ModelText(reader.prepared(folder.path, data, ()), reader.models, reader.files)
-    check_compiles(text, path)
+    (process or ModelProcess(path)).check_compiles(text)
     try:
         return mujoco().MjSpec.from_string(text.xml, include=text.models, assets=text.files)
     except (ValueError, RuntimeError) as error:  # it was read a moment ago

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -14,16 +14,30 @@ from numpy.typing import NDArray
 from recorders.simulators.base import Parameter
 from recorders.simulators.installed import named_version
 from recorders.simulators.mujoco.library import mujoco
+from recorders.simulators.mujoco.model_child import put_array
+from recorders.simulators.mujoco.model_fields import TUNED_ARRAYS
 from recorders.simulators.mujoco.model_parameters import DELAY, ModelParameter
+from recorders.simulators.mujoco.model_process import ModelProcess
 from recorders.simulators.mujoco.model_sensors import SensedSignal, Sensor, put_sensors
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
-from tunenet_logs.errors import UsageError
+from tunenet_logs.errors import LogError, UsageError
 
 MOST_STEPS = 300_000
 """Of one rollout: five minutes at 1 ms."""
 
-_MOST_BATCH_BYTES = 200_000_000
+STOPPED = "stopped"
+"""In a rollout's notes: what stopped it before its end; "" where nothing did."""
+
+_MEMORY_IS_FULL = "its working memory is full"
+_STOPS = {
+    "mjWARN_INERTIA": "a mass or inertia is next to nothing",
+    "mjWARN_BAD": "it moves beyond all bounds",
+    "time": "it stops",
+}
+"""By how MuJoCo's names of what stops a rollout begin; what else there is, is of memory."""
+
+_MOST_BATCH_BYTES = 50_000_000
 _MOST_BATCH = 64
 
 _LATE_BY_HALF_A_STEP = ("mjINT_EULER", "mjINT_IMPLICIT", "mjINT_IMPLICITFAST")
@@ -79,6 +93,7 @@ class ModelSimulator:
         drives: what moves it.
         initial: where it begins.
         end_ns: when it ends.
+        process: where it is run.
         step_s: of its integrator; None for the model's own.
     """
 
@@ -88,6 +103,7 @@ class ModelSimulator:
     drives: tuple[Drive, ...]
     initial: InitialState
     end_ns: int
+    process: ModelProcess
     step_s: float | None = None
 
     @property
@@ -98,7 +114,7 @@ class ModelSimulator:
     @property
     def step_hz(self) -> float:
         """See `Simulator`."""
-        return 1.0 / self._model.opt.timestep
+        return 1.0 / self._step_s
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -107,12 +123,20 @@ class ModelSimulator:
 
     def finer(self) -> ModelSimulator:
         """The same with half the step: what its step does to its answer can be told by it."""
-        return replace(self, step_s=self._model.opt.timestep / 2)
+        half = replace(self, step_s=self._step_s / 2)
+        half.__dict__["_model"] = self._model  # compiled once
+        return half
 
     def rollout(self, values: Mapping[str, float]) -> Episode:
         """One episode with the signals of `sensed`, at their own stamps; see `Simulator`."""
         row = [one.checked(values.get(one.name, one.initial)) for one in self.parameters]
-        return self.rollouts(np.array([row]))[0]
+        found = self.rollouts(np.array([row]))[0]
+        if found.info.notes[STOPPED].startswith(_MEMORY_IS_FULL):
+            raise LogError(
+                f"{self.process.path}: {found.info.notes[STOPPED]}",
+                f'give it more, such as <size memory="{_more_memory(self._model.narena)}"/>',
+            )
+        return found
 
     def rollouts(self, values: Array) -> list[Episode]:
         """Several episodes at once, on all cores.
@@ -121,9 +145,10 @@ class ModelSimulator:
             values: of all parameters, shape (N, P).
 
         Returns:
-            N of them; from where a rollout diverges its values are NaN.
+            N of them; from where MuJoCo stops a rollout its values are NaN, and `STOPPED` in its
+            notes says why.
         """
-        each_bytes = 8 * (self._steps + 1) * (self._model.nsensordata + self._state_size + 40)
+        each_bytes = 8 * self._steps * (self._model.nsensordata + len(self._driven))
         count = int(np.clip(_MOST_BATCH_BYTES // each_bytes, 1, _MOST_BATCH))
         found: list[Episode] = []
         for first in range(0, len(values), count):
@@ -137,28 +162,21 @@ class ModelSimulator:
             Seconds since the initial stamp, shape (T,); qpos then, shape (T, nq), which stays as it
             is where the rollout diverges.
         """
-        begins, reached, _, good = self._rolled(values[None])
-        count = int(good.sum())
-        states = np.concatenate([begins, reached[0, :count]])
-        seconds = self._model.opt.timestep * np.arange(self._steps + 1)
-        qpos = states[:, 1 : 1 + self._model.nq]
-        return seconds, qpos[np.minimum(np.arange(self._steps + 1), count)]
+        (kept,), _, found = self._rolled(values[None], wants_qpos=True)
+        places = np.arange(self._steps + 1)
+        seconds = np.asarray(self._step_s * places, np.float64)
+        return seconds, found["qpos"][0][np.minimum(places, kept)]
 
     @cached_property
     def _model(self) -> Any:
         """The compiled model, with sensors of what is compared alone."""
         spec = self.spec.copy()
         put_sensors(spec, self._distinct)
-        model = spec.compile()
-        if self.step_s is not None:
-            model.opt.timestep = self.step_s
-        if (self.end_ns - self.initial.stamp_ns) * 1e-9 / model.opt.timestep > MOST_STEPS:
-            seconds = MOST_STEPS * model.opt.timestep
-            raise UsageError(
-                f"the log is longer than {MOST_STEPS} steps of {model.opt.timestep:g} s",
-                f"choose a part of at most {seconds:.0f} s with --start and --end",
-            )
-        return model
+        return spec.compile()
+
+    @property
+    def _step_s(self) -> float:
+        return float(self._model.opt.timestep if self.step_s is None else self.step_s)
 
     @cached_property
     def _distinct(self) -> list[Sensor]:
@@ -169,96 +187,92 @@ class ModelSimulator:
 
     @cached_property
     def _steps(self) -> int:
-        seconds = (self.end_ns - self.initial.stamp_ns) * 1e-9
-        return int(np.ceil(seconds / self._model.opt.timestep)) + 2
+        seconds, step_s = (self.end_ns - self.initial.stamp_ns) * 1e-9, self._step_s
+        if seconds / step_s > MOST_STEPS:
+            raise UsageError(
+                f"the log is longer than {MOST_STEPS} steps of {step_s:g} s",
+                f"choose a part of at most {MOST_STEPS * step_s:.0f} s with --start and --end",
+            )
+        return int(np.ceil(seconds / step_s)) + 2
 
     @cached_property
-    def _state_size(self) -> int:
-        return mujoco().mj_stateSize(self._model, mujoco().mjtState.mjSTATE_FULLPHYSICS)
+    def _driven(self) -> NDArray[np.intp]:
+        """Numbers of what is driven, among controls and then the efforts of joints."""
+        targets = [one.targets + self._model.nu * one.is_effort for one in self.drives]
+        return np.unique(np.concatenate([np.zeros(0, np.intp), *targets]))
 
     def _batch(self, values: Array) -> list[Episode]:
-        _, _, sensed, good = self._rolled(values)
-        sensed[~good] = np.nan
-        return [self._episode(seen, row) for seen, row in zip(sensed, values, strict=True)]
+        kept, why, found = self._rolled(values)
+        rolled = zip(found["sensed"], values, kept, why, strict=True)
+        return [
+            self._episode(seen, row, _in_words(stop, steps * self._step_s))
+            for seen, row, steps, stop in rolled
+        ]
 
-    def _rolled(self, values: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-        """States before and after the steps, sensors, and which steps are before it diverges."""
-        library = mujoco()
-        from mujoco import rollout
-
-        _silence()
-        threads = min(os.cpu_count() or 1, len(values))
-        models = [self._with(row) for row in values]
-        states = np.stack(
-            [self._state(model, row) for model, row in zip(models, values, strict=True)]
+    def _rolled(
+        self, values: Array, *, wants_qpos: bool = False
+    ) -> tuple[list[int], list[str], dict[str, Array]]:
+        """Steps that each makes, what stops it, and what is seen after the steps."""
+        delays = [self._delay_s(row) for row in values]
+        known = sorted(set(delays))
+        rows = [
+            (self._changed(row), *self._state(row), known.index(delay_s))
+            for row, delay_s in zip(values, delays, strict=True)
+        ]
+        return self.process.run(
+            self._model,
+            rows=rows,
+            controls=[self._control(delay_s) for delay_s in known],
+            columns=self._driven,
+            steps=self._steps,
+            step_s=self._step_s,
+            is_late=self._is_late,
+            wants_qpos=wants_qpos,
         )
-        spec = library.mjtState
-        control_spec = spec.mjSTATE_CTRL | spec.mjSTATE_QFRC_APPLIED
-        control = np.stack([self._control(row) for row in values])
-        with rollout.Rollout(nthread=threads if threads > 1 else 0) as pool:
-            found = pool.rollout(
-                models,
-                [library.MjData(models[0]) for _ in range(threads)],
-                states,
-                control,
-                control_spec=int(control_spec),
-            )
-        reached, sensed = (np.asarray(one, np.float64) for one in found)
-        step_s = self._model.opt.timestep
-        expected_s = step_s * np.arange(1, self._steps + 1)
-        reached, sensed = np.asarray(reached), np.asarray(sensed)
-        kept = np.isclose(reached[:, :, 0], expected_s, rtol=0, atol=step_s / 2)
-        return states, reached, sensed, np.logical_and.accumulate(kept, axis=1)
 
-    def _with(self, row: Array) -> Any:
-        """A copy of the model with these values."""
-        model = self._model.__copy__()
+    def _changed(self, row: Array) -> list[tuple[str, Array]]:
+        """Those of the model's arrays that these values change, by name."""
+        model = self._model
+        before = {name: np.array(attrgetter(name)(model)) for name in TUNED_ARRAYS}
         for one, value in zip(self.tuned, row, strict=False):
             one.put(model, float(value))
-        mujoco().mj_setConst(model, mujoco().MjData(model))
-        return model
+        after = {name: np.array(attrgetter(name)(model)) for name in TUNED_ARRAYS}
+        for name, values in before.items():
+            put_array(model, name, values)
+        return [(name, after[name]) for name in before if (after[name] != before[name]).any()]
 
-    def _state(self, model: Any, row: Array) -> Array:
-        library = mujoco()
-        data = library.MjData(model)
-        data.qpos[:], data.qvel[:] = self.initial.qpos, self.initial.qvel
+    def _state(self, row: Array) -> tuple[Array, Array]:
+        """Where it begins: qpos and qvel."""
+        qpos, qvel = self.initial.qpos.copy(), self.initial.qvel.copy()
         unsure = row[len(self.tuned) :]
         for value, (is_speed, place) in zip(unsure, self.initial.places, strict=True):
-            (data.qvel if is_speed else data.qpos)[place] = value
-        if self._is_late:  # so that the speed at the first stamp is the one that is meant
-            library.mj_forward(model, data)
-            data.qvel[:] -= data.qacc * model.opt.timestep / 2
-        state = np.zeros(self._state_size)
-        library.mj_getState(model, data, state, library.mjtState.mjSTATE_FULLPHYSICS)
-        return state
+            (qvel if is_speed else qpos)[place] = value
+        return qpos, qvel
 
-    def _control(self, row: Array) -> Array:
-        """What drives each step, shape (steps, nu + nv)."""
-        model, step_s = self._model, self._model.opt.timestep
-        delay_s = next(
-            (
-                float(value)
-                for one, value in zip(self.tuned, row, strict=False)
-                if one.parameter.name == DELAY
-            ),
-            0.0,
-        )
+    def _delay_s(self, row: Array) -> float:
+        named = zip(self.tuned, row, strict=False)
+        return next((float(value) for one, value in named if one.parameter.name == DELAY), 0.0)
+
+    def _control(self, delay_s: float) -> Array:
+        """What drives each step, shape (steps, `_driven`)."""
+        step_s = self._step_s
         # a step kicks speeds of half a step before to those of half a step after its begin
-        edges_s = step_s * (np.arange(self._steps + 1) - 0.5 * self._is_late)
-        control = np.zeros((self._steps, model.nu + model.nv))
+        edges_s = np.arange(self._steps + 1, dtype=np.float64)
+        edges_s = step_s * (edges_s - 0.5 * self._is_late)
+        control = np.zeros((self._steps, len(self._driven)))
         for drive in self.drives:
             since_ns = drive.signal.stamps_ns - self.initial.stamp_ns
             at_s = np.asarray(since_ns, np.float64) * 1e-9
-            for column, target in zip(drive.columns, drive.targets, strict=True):
+            places = np.searchsorted(self._driven, drive.targets + self._model.nu * drive.is_effort)
+            for column, place in zip(drive.columns, places, strict=True):
                 values = drive.signal.values[:, column]
                 good = np.isfinite(values)
                 seconds, values = at_s[good], values[good]
                 if drive.is_effort:
                     middle_s = edges_s[:-1] + step_s / 2
-                    held = np.interp(middle_s, seconds, values)
-                    control[:, model.nu + target] = held
+                    control[:, place] = np.interp(middle_s, seconds, values)
                 else:
-                    control[:, target] = held_means(seconds, values, edges_s - delay_s)
+                    control[:, place] = held_means(seconds, values, edges_s - delay_s)
         return control
 
     @property
@@ -266,9 +280,9 @@ class ModelSimulator:
         kinds = mujoco().mjtIntegrator
         return self._model.opt.integrator in [getattr(kinds, one) for one in _LATE_BY_HALF_A_STEP]
 
-    def _episode(self, seen: Array, row: Array) -> Episode:
+    def _episode(self, seen: Array, row: Array, stopped: str) -> Episode:
         """Sensor values after each step, shape (steps, S), as the log's signals."""
-        step_s = self._model.opt.timestep
+        step_s = self._step_s
         at_s = step_s * np.arange(self._steps)  # sensors see the state that a step begins with
         signals: dict[str, Signal] = {}
         for sensed in self.sensed:
@@ -285,7 +299,8 @@ class ModelSimulator:
             )
         names = [one.name for one in self.parameters]
         truth = dict(zip(names, map(float, row), strict=True))
-        return Episode(EpisodeInfo(source=self.engine, truth=truth), signals)
+        info = EpisodeInfo(source=self.engine, truth=truth, notes={STOPPED: stopped})
+        return Episode(info, signals)
 
 
 def held_means(at_s: Array, values: Array, edges_s: Array) -> Array:
@@ -307,6 +322,16 @@ def held_means(at_s: Array, values: Array, edges_s: Array) -> Array:
     return np.diff(until) / np.diff(edges_s)
 
 
-def _silence() -> None:
-    """MuJoCo's warnings go nowhere: a rollout that diverges is told by its values."""
-    mujoco().set_mju_user_warning(lambda _: None)
+def _in_words(stop: str, at_s: float) -> str:
+    """Why a rollout stops; "" where it does not."""
+    if not stop:
+        return ""
+    words = (said for begin, said in _STOPS.items() if stop.startswith(begin))
+    what = next(words, _MEMORY_IS_FULL)
+    rest = ", and MuJoCo leaves contacts out" if what == _MEMORY_IS_FULL else ""
+    return f"{what} after {at_s:.3g} s of the rollout{rest}"
+
+
+def _more_memory(now_bytes: int) -> str:
+    """For <size memory>."""
+    return f"{max(now_bytes * 4 // 1_000_000, 10)}M"

@@ -212,10 +212,10 @@ def test_results_are_kept_and_never_replace_anothers(tmp_path: Path):
         tunenet.save_tuning(other, kept)
     seen = tunenet.review(one, tmp_path / "a.rrd")
     tunenet.review(one, seen)
-    with pytest.raises(tunenet.LogError, match="is no review of bouncy"):
+    with pytest.raises(tunenet.LogError, match=r"is the review of another log, not of bouncy"):
         tunenet.review(other, seen)
     in_memory = tunenet.tune(tunenet.simulate(tunenet.DropOrder(seed=1)))
-    with pytest.raises(tunenet.LogError, match="is no review of episode"):
+    with pytest.raises(tunenet.LogError, match="is the review of another log, not of episode"):
         tunenet.review(in_memory, seen)
     tunenet.save_tuning(in_memory, tmp_path / "b.json")
     with pytest.raises(tunenet.LogError, match="is the tuning of"):
@@ -240,8 +240,10 @@ def test_a_tuned_ball_goes_into_an_engine(tmp_path: Path):
     tuning = tunenet.tune(SAMPLES / "dull.mcap")
     (file,) = tunenet.export(tuning, "mujoco", tmp_path / "ball.xml", speed_m_s=2.0)
     assert "<mujoco" in file.read_text()
-    with pytest.raises(tunenet.LogError, match="overwrite=True"):
-        tunenet.export(tuning, "mujoco", file)
+    assert tunenet.export(tuning, "mujoco", file) == (file,)
+    other = tunenet.tune(SAMPLES / "bouncy.mcap")
+    with pytest.raises(tunenet.LogError, match=r"of dull.mcap, not of bouncy.mcap.*overwrite=True"):
+        tunenet.export(other, "mujoco", file)
     with pytest.raises(tunenet.UsageError, match="choose one of: pybullet"):
         tunenet.export(tuning, "havok", tmp_path / "ball.xml")
 
@@ -268,7 +270,7 @@ def test_a_report_and_its_figures(tmp_path: Path):
     assert "dull.mcap" in page.read_text()
     assert figures
     assert all(figure.suffix == ".png" for figure in figures)
-    with pytest.raises(tunenet.UsageError, match="exists"):
+    with pytest.raises(tunenet.LogError, match=r"of bouncy\.mcap, not of dull\.mcap"):
         tunenet.report(tmp_path / "dull.json", page)
     table = tunenet.compare([tmp_path / "dull.json", tmp_path / "bouncy.json"]).to_frame()
     values = table[table.parameter == "restitution"].set_index("log").value

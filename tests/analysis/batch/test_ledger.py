@@ -17,7 +17,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pytest
+from pyarrow import parquet
 
 from analysis.batch.ledger import journal, ledger_file
 from analysis.batch.one_log import Writing
@@ -158,7 +160,7 @@ def test_no_log_is_lost_or_twice_whoever_is_killed(made_drops: Path, tmp_path: P
 
 def _journal_lines(out: Path) -> list[bytes]:
     try:
-        return (out / "ledger.jsonl").read_bytes().splitlines()
+        return (out / "ledger.jsonl").read_bytes().splitlines()[1:]
     except FileNotFoundError:
         return []
 
@@ -200,7 +202,9 @@ def _lives(process: int) -> bool:
 
 def test_a_torn_line_is_taken_away_and_the_rest_is_kept(tmp_path: Path):
     line = json.dumps({"log": "/a.mcap", "verdict": "ok", "restitution": 0.5})
-    (tmp_path / "ledger.jsonl").write_text(f'{line}\n{{"log": "/b.mc')
+    with journal(tmp_path) as kept:
+        head = (tmp_path / "ledger.jsonl").read_bytes()
+    (tmp_path / "ledger.jsonl").write_bytes(head + f'{line}\n{{"log": "/b.mc'.encode())
     with journal(tmp_path) as kept:
         assert len(kept.ledger) == 1
         kept.append({"log": "/b.mcap", "verdict": "rejected"})
@@ -231,7 +235,7 @@ def test_what_is_no_ledger_is_not_replaced(tmp_path: Path, data: bytes):
 def test_another_table_with_logs_is_not_taken_for_a_ledger(tmp_path: Path):
     pd.DataFrame({"log": ["a.mcap"], "value": [1.0]}).to_parquet(ledger_file(tmp_path))
     before = ledger_file(tmp_path).read_bytes()
-    with pytest.raises(LogError, match="is no ledger"), journal(tmp_path):
+    with pytest.raises(LogError, match="is no ledger that tunenet-logs wrote"), journal(tmp_path):
         pass
     assert ledger_file(tmp_path).read_bytes() == before
 
@@ -263,6 +267,7 @@ for turn in range(15):
     writing = Writing(overwrite=True, reviewed=frozenset())
     run_batch(Order(found, writing=writing, folder=Path({str(tmp_path)!r}) / "out",
         keeps_ledger=True), Progress(quiet=True), jobs=1)
+    (Path({str(tmp_path)!r}) / "out" / "ledger.parquet").unlink()
     if turn == 4:
         before = resident()
 print(resident() - before)
@@ -290,3 +295,56 @@ def test_a_disk_that_is_full_loses_nothing(made_drops: Path, tmp_path: Path):
     done = subprocess.run(words, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
     assert verdicts_of(ledger_of(tmp_path / "out")) == {"ok": 6}
+
+
+HEAD = b'{"journal": "tunenet-tune"}\n'
+GOOD = b'{"log": "/a.mcap", "verdict": "ok"}\n'
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        HEAD + b'{"log": "x", "verdict": "ok", "rollouts": 999999999999999999999999999999}\n',
+        HEAD + b'{"log": "x", "verdict": ' + b"[" * 40_000 + b"\n",
+        HEAD + b'{"log": "' + b'\\"' * 40_000 + b"\n",
+        HEAD + b'{"log": "x", "verdict": "fine"}\n',
+        HEAD + GOOD + b'{"log": "/b.mcap", "verdict": "ok", "restitution": {"value": 1}}\n' + GOOD,
+        HEAD + GOOD + b"a note without an end",
+        HEAD + b'{"log": "x' + b"a" * 200_000 + b"\n" + GOOD,
+        HEAD + GOOD * 60_000,
+        GOOD,
+        b"",
+    ],
+    ids=lambda data: f"{len(data)} {data[28:50]!r}",
+)
+def test_a_journal_is_read_as_a_strangers_file(tmp_path: Path, data: bytes):
+    path = tmp_path / "ledger.jsonl"
+    path.write_bytes(data)
+    match = r"ledger\.jsonl: .*; move it away, or choose"
+    with pytest.raises(LogError, match=match), journal(tmp_path):
+        pass
+    assert path.read_bytes() == data
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize(
+    "columns",
+    [
+        {"restitution": [[1, 2, 3]]},
+        {"bytes": [{"a": 1}]},
+        {"results": [b"bytes"]},
+        {"verdict": ["fine"]},
+        {"reason": ["A" * 5_000_000]},
+    ],
+    ids=",".join,
+)
+def test_a_table_is_read_as_a_strangers_file(tmp_path: Path, columns: dict[str, Any]):
+    table = pa.table({"log": ["x"], "verdict": ["ok"], **columns})
+    path = ledger_file(tmp_path)
+    parquet.write_table(table.replace_schema_metadata({b"tunenet-logs": b"ledger"}), path)
+    before = path.read_bytes()
+    match = r"ledger\.parquet: .*; move it away, or choose"
+    with pytest.raises(LogError, match=match), journal(tmp_path):
+        pass
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]

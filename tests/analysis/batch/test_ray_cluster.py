@@ -6,6 +6,8 @@ import os
 import signal
 import subprocess
 import time
+from contextlib import suppress
+from ipaddress import ip_address
 from pathlib import Path
 
 import pytest
@@ -17,6 +19,15 @@ pytest.importorskip("ray")
 pytestmark = pytest.mark.live
 
 _COUNT = 24
+
+_OURS = "TUNENET_TEST_RAY"
+"""A variable that marks what the command starts."""
+
+
+def is_loopback(text: str) -> bool:
+    """Whether an address is of this machine alone."""
+    address = ip_address(text)
+    return (getattr(address, "ipv4_mapped", None) or address).is_loopback
 
 
 @pytest.fixture(scope="module")
@@ -32,18 +43,21 @@ def test_logs_of_a_worker_that_dies_are_done_again(logs: Path, tmp_path: Path):
     out = tmp_path / "out"
     words = [str(BIN / "tunenet-tune"), str(logs), "-o", str(out), "--no-review"]
     killed = None
+    addresses: set[str] = set()
     with subprocess.Popen(
         [*words, "--jobs", "2", "--ray"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
+        env={**os.environ, _OURS: str(out)},
     ) as driver:
         deadline = time.monotonic() + 180
         while driver.poll() is None and killed is None and time.monotonic() < deadline:
             journal = out / "ledger.jsonl"
             if journal.exists() and journal.read_bytes().count(b"\n") >= 2:
                 killed = _an_actor(driver.pid)
+                addresses |= _listening(_processes(out))
                 if killed is not None:
                     os.kill(killed, signal.SIGKILL)
             time.sleep(0.01)
@@ -54,6 +68,43 @@ def test_logs_of_a_worker_that_dies_are_done_again(logs: Path, tmp_path: Path):
     assert len({row["log"] for row in rows}) == len(rows) == _COUNT
     assert verdicts_of(rows) == {"ok": _COUNT - 1, "rejected": 1}
     assert f"{_COUNT} logs: {_COUNT} tuned" in printed
+    assert addresses
+    assert all(map(is_loopback, addresses)), addresses
+    deadline = time.monotonic() + 60
+    while _processes(out) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert not _processes(out)
+
+
+def _processes(out: Path) -> list[Path]:
+    """Those that the command started, and itself."""
+    found: list[Path] = []
+    for folder in Path("/proc").iterdir():
+        with suppress(OSError):
+            if folder.name.isdecimal() and os.fsencode(f"{_OURS}={out}") in (
+                folder / "environ"
+            ).read_bytes().split(b"\0"):
+                found.append(folder)
+    return found
+
+
+def _listening(processes: list[Path]) -> set[str]:
+    """The addresses at which processes listen."""
+    sockets: set[str] = set()
+    for process in processes:
+        with suppress(OSError):
+            for one in (process / "fd").iterdir():
+                with suppress(OSError):
+                    sockets.add(str(one.readlink()))
+    found: set[str] = set()
+    for table in ("tcp", "tcp6"):
+        for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
+            words = line.split()
+            if words[3] == "0A" and f"socket:[{words[9]}]" in sockets:
+                data = bytes.fromhex(words[1].partition(":")[0])
+                parts = [data[at : at + 4][::-1] for at in range(0, len(data), 4)]
+                found.add(str(ip_address(b"".join(parts))))
+    return found
 
 
 def _an_actor(driver: int) -> int | None:

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import http.server
 import threading
+import time
+import zlib
 from collections.abc import Iterator
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
 import pytest
 
 from analysis.batch.ledger import ledger_file
+from analysis.batch.remote_logs import fetched, log_address
 from tests.analysis.batch.relay import CountingRelay
 from tests.analysis.batch.test_ledger import ledger_of, write_drop
 from tests.conftest import Command
+from tunenet_logs.errors import LogError
 
 pytest.importorskip("moto.server")
 pytestmark = pytest.mark.live
@@ -106,6 +111,55 @@ def test_a_web_server_is_read(web: str, tmp_path: Path, command: Command):
     (gone,) = (row for row in rows if row["log"].endswith("nothing.mcap"))
     assert "cannot be read" in gone["error"]
     assert ledger_file(out).exists()
+
+
+@pytest.fixture
+def hostile() -> Iterator[str]:
+    """A server that drips a byte at a time, and one whose answer unpacks to gigabytes."""
+
+    class Hostile(http.server.BaseHTTPRequestHandler):
+        def do_HEAD(self) -> None:
+            self.answer()
+
+        def do_GET(self) -> None:
+            self.answer()
+            pack = zlib.compressobj(9, zlib.DEFLATED, 31)
+            with suppress(OSError):
+                for _ in range(600 if "drip" in self.path else 4000):
+                    is_slow = "drip" in self.path
+                    self.wfile.write(b"x" if is_slow else pack.compress(bytes(1 << 20)))
+                    time.sleep(0.1 * is_slow)
+
+        def answer(self) -> None:
+            self.send_response(200)
+            if "unpacks" in self.path:
+                self.send_header("Content-Encoding", "gzip")
+            self.end_headers()
+
+        def log_message(self, format: str, *args: object) -> None:  # noqa: A002
+            pass
+
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Hostile)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield f"http://127.0.0.1:{server.server_port}"
+    server.shutdown()
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("drip.mcap", "cannot be read (under 10000 bytes came in 1 s)"),
+        ("unpacks.mcap", "unpacks to over 20 MB"),
+    ],
+)
+def test_a_hostile_server_is_left(
+    hostile: str, name: str, said: str, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("analysis.batch.remote_logs._SILENT_S", 1)
+    monkeypatch.setattr("analysis.batch.remote_logs._UNTOLD_BYTES", 20_000_000)
+    with pytest.raises(LogError) as caught, fetched(log_address(f"{hostile}/{name}")):
+        pass
+    assert said in str(caught.value)
 
 
 @pytest.mark.parametrize(

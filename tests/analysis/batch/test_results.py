@@ -80,12 +80,12 @@ def test_what_is_no_result_is_never_replaced_silently(tmp_path: Path):
     path = record(tmp_path / "a.mcap", restitution=0.6, height_m=1.0)
     (tmp_path / "a.json").write_text("mine")
     (result,) = tune_all([path], Options(), None, 1, QUIET)
-    assert "a.json: exists, and is no tuning of a.mcap" in (result.trouble or "")
+    assert "a.json: exists, and is no tuning that tunenet-logs wrote" in (result.trouble or "")
     assert (tmp_path / "a.json").read_text() == "mine"
     (tmp_path / "a.json").unlink()
     (tmp_path / "a.rrd").write_bytes(b"RRF2 of something else")
     (result,) = tune_all([path], Options(), None, 1, QUIET)
-    assert "a.rrd: exists, and is no review of a.mcap" in (result.trouble or "")
+    assert "a.rrd: exists, and is no review that tunenet-logs wrote" in (result.trouble or "")
 
 
 def test_a_log_that_is_gone_is_missing_and_its_results_stay(tmp_path: Path):

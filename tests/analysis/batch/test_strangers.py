@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 from analysis.batch.found_logs import find_logs
-from analysis.batch.text_table import check_csv
+from analysis.batch.text_table import check_csv, csv_place
 from tests.analysis.batch.test_ledger import ledger_of, write_drop
 from tests.conftest import BIN, Command
 from tunenet_logs.errors import UsageError
@@ -27,7 +27,7 @@ def test_a_text_table_never_replaces_what_is_none(tmp_path: Path, name: str, com
     words = ("tunenet-tune", str(log), "-o", str(tmp_path / "out"), "--no-review", "--csv")
     done = command(*words, str(target))
     assert done.returncode == 2
-    assert "was not written by --csv" in done.stderr
+    assert "is no ledger that tunenet-logs wrote" in done.stderr
     assert target.read_bytes() == b"t,x,y,z\n0,0,0,1\n"
     for more in ((), ("--overwrite",)):  # a log is lost by no option
         done = command(*words, str(log), *more)
@@ -48,7 +48,7 @@ def test_a_text_table_goes_beside_results_that_are_not_there_yet(tmp_path: Path,
 @pytest.mark.parametrize("name", ["ledger.parquet", "drop.json", "drop.RRD", "ledger.jsonl"])
 def test_a_text_table_never_takes_the_name_of_other_results(tmp_path: Path, name: str):
     with pytest.raises(UsageError, match="other results"):
-        check_csv(tmp_path / name, tmp_path, overwrite=True)
+        check_csv(csv_place(tmp_path / name, tmp_path, overwrite=True), tmp_path)
 
 
 def test_links_in_circles_and_to_nowhere_are_left_out(tmp_path: Path):
@@ -78,7 +78,7 @@ def test_ctrl_c_keeps_what_is_done_and_resume_does_the_rest(tmp_path: Path):
     journal = out / "ledger.jsonl"
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as driver:
         deadline = time.monotonic() + 60
-        while not (journal.exists() and journal.read_bytes().count(b"\n") > 3):
+        while not (journal.exists() and journal.read_bytes().count(b"\n") > 4):
             assert driver.poll() is None
             assert time.monotonic() < deadline
             time.sleep(0.02)

@@ -17,7 +17,7 @@ from analysis.campaign.tuned_drop import TunedDrop, read_tuned_drop
 from analysis.motion import Curves
 from tests.analysis.campaign import campaigns
 from tests.analysis.campaign.campaigns import MINUTE_NS, START_NS
-from tunenet_logs.errors import LogError, UsageError
+from tunenet_logs.errors import LogError
 from tunenet_logs.images import decode_image
 from tunenet_logs.outcome import BOUNCE_SHOT, Outcome
 from tunenet_logs.reader import read_episode
@@ -211,9 +211,9 @@ def test_what_was_not_tuned_is_tuned(tmp_path: Path):
 
 
 def test_nothing_of_a_campaign_is_told(tmp_path: Path):
-    with pytest.raises(UsageError, match="no such file"):
+    with pytest.raises(LogError, match="no such file"):
         campaign_of([tmp_path / "none"], 1, QUIET, pytest.fail)
-    with pytest.raises(UsageError, match="holds no drop and no outcome"):
+    with pytest.raises(LogError, match="holds no drop and no outcome"):
         campaign_of([tmp_path], 1, QUIET, pytest.fail)
     (tmp_path / "outcomes.csv").write_text("ball,success\ngel,perhaps\n")
     with pytest.raises(LogError, match="line 2, column 'success'"):

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from analysis.campaign.files import material_of
-from analysis.result_files import check_writable, replacing
 from tests.conftest import Command
-from tunenet_logs.errors import UsageError
+from tunenet_logs.errors import LogError
+from tunenet_logs.output.owned_file import OutputPlace, nothing
 
 SUFFIXES = (".mcap", ".json", ".csv", ".mp4")
 
@@ -77,7 +77,7 @@ def test_a_folder_may_be_deeper_than_python_calls(tmp_path: Path):
             Path("d").mkdir()
             os.chdir("d")
         try:
-            with pytest.raises(UsageError, match="holds no drop"):
+            with pytest.raises(LogError, match="holds no drop"):
                 material_of([tmp_path], lambda _text: None)
         finally:  # pytest could not take it away
             for _ in range(depth):
@@ -90,20 +90,20 @@ def test_a_folder_of_folders_has_a_bound(tmp_path: Path, monkeypatch: pytest.Mon
     for number in range(60):
         (tmp_path / str(number)).mkdir()
     told: list[str] = []
-    with pytest.raises(UsageError, match="holds no drop"):
+    with pytest.raises(LogError, match="holds no drop"):
         material_of([tmp_path], told.append)
     assert told == [f"{tmp_path}: holds over 50 files and folders; those beyond are left out"]
 
 
-def test_an_unfinished_result_may_be_a_pipe_or_a_link(tmp_path: Path):
-    result, other = tmp_path / "a.json", tmp_path / "other"
-    other.write_text("mine")
-    unfinished_name = f"a.json.{os.getpid()}.partial"
-    os.mkfifo(tmp_path / unfinished_name)
-    check_writable(result, "-o")
-    for place in (os.mkfifo, lambda path: path.symlink_to(other)):
-        place(tmp_path / unfinished_name)
-        with replacing(result) as unfinished:
-            unfinished.write_text("whole")
-    assert result.read_text() == "whole"
-    assert other.read_text() == "mine"
+@pytest.mark.parametrize("make", [os.mkfifo, Path.mkdir, Path.touch])
+def test_what_lies_where_a_result_is_written_first_stays(tmp_path: Path, make):
+    place = OutputPlace(tmp_path / "a.json", "result", nothing)
+    scratch = tmp_path / f"a.json.{os.getpid()}.partial"
+    make(scratch)
+    before = scratch.lstat()
+    place.check()
+    with place.replacing() as unfinished:
+        unfinished.write_text("whole")
+    assert place.path.read_text() == "whole"
+    assert scratch.lstat() == before
+    assert len(list(tmp_path.iterdir())) == 2

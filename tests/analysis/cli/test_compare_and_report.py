@@ -78,20 +78,21 @@ OUTPUTS = [
 
 
 @pytest.mark.parametrize(("name", "option", "output"), OUTPUTS)
-def test_only_what_is_ours_is_replaced_and_only_if_asked(
+def test_what_is_ours_and_of_the_same_logs_alone_is_replaced_unasked(
     folder: Path, tmp_path: Path, command: Command, name: str, option: str, output: str
 ):
     path = tmp_path / output
     assert command(name, folder, option, path).returncode == 0
-    again = command(name, folder, option, path)
-    assert again.returncode == 2
-    assert "exists" in again.stderr
-    assert "--overwrite" in again.stderr
-    assert command(name, folder, option, path, "--overwrite").returncode == 0
+    assert command(name, folder, option, path).returncode == 0
+    fewer = command(name, folder / "red.json", option, path)
+    assert fewer.returncode == 2
+    assert "of blue.mcap, none.mcap, not of red.mcap; pass --overwrite" in fewer.stderr
+    assert command(name, folder / "red.json", option, path, "--overwrite").returncode == 0
+    assert command(name, folder, option, path).returncode == 0
     path.write_text("t,z\n0,1\n")
     foreign = command(name, folder, option, path, "--overwrite")
     assert foreign.returncode == 2
-    assert "did not write it" in foreign.stderr
+    assert "that tunenet-logs wrote" in foreign.stderr
     assert path.read_text() == "t,z\n0,1\n"
     assert not list(tmp_path.glob("*.partial"))
 
@@ -127,7 +128,9 @@ def test_figures_for_a_paper(folder: Path, tmp_path: Path, command: Command):
     width_pt = float(data.split(b"/MediaBox [ 0 0 ")[1].split(b" ")[0])
     assert width_pt == pytest.approx(3.4 * 72, abs=1)
     assert (tmp_path / "one.png").read_bytes().startswith(b"\x89PNG")
-    assert command("tunenet-report", path, "--pdf", figures).returncode == 2
+    assert command("tunenet-report", path, "--pdf", figures).returncode == 0
+    other = command("tunenet-report", folder / "blue.json", "--pdf", figures / "red_curves.pdf")
+    assert other.returncode == 2
     assert command("tunenet-report", path, "--pdf", tmp_path / "figure.svg").returncode == 2
 
 

@@ -74,7 +74,7 @@ def test_a_file_takes_the_lines_and_the_table_stays(
     [
         ("{log}", "is a log of this batch"),
         ("{stem}.json", "is where a log's own results go"),
-        ("notes.txt", "was not written by --json"),
+        ("notes.txt", "is no file of --json that tunenet-logs wrote"),
         ("nowhere/all.json", "no such folder"),
     ],
 )

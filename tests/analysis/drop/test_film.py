@@ -7,12 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from analysis.checks import Check
 from analysis.drop.bounce_model import BounceSamples
 from analysis.drop.checks import recording_checks
+from analysis.drop.detection import FilmDetection
 from analysis.drop.film import canonical_film, find_filmed_drop
 from analysis.drop.film_checks import film_checks, hop_check, scale_checks, seconds_out_of_view
 from analysis.drop.film_reasons import free_flight, why_not
 from analysis.tracking.track import Track
+from recorders.simulators.balls import Ball
 from recorders.simulators.closed_form.bounce import Bounce
 from tests.strangers import bounce_heights
 from tunenet_logs.errors import NotFoundError
@@ -246,23 +249,49 @@ def test_pictures_that_were_dropped_unevenly_are_missed():
     assert "no pictures missing" not in failed(stamped)
 
 
+def scale_of(track: Track, diameter_m: float | None, height_m: float | None) -> list[Check]:
+    return scale_checks(FilmDetection(True, "/camera", 0, track, Ball(diameter_m), height_m))
+
+
 def test_a_frame_rate_that_cannot_be_is_seen_where_a_length_is_known():
-    found = find_filmed_drop(filmed(0.7, gap_m=1.0), 0)
-    assert all(one.passed for one in scale_checks(found, None, 1.0))
-    assert not all(one.passed for one in scale_checks(found, None, 4.0))
+    track = filmed(0.7, gap_m=1.0)
+    assert all(one.passed for one in scale_of(track, None, 1.0))
+    assert not all(one.passed for one in scale_of(track, None, 4.0))
     diameter_m = 1.0 * 10 / 120
-    assert all(one.passed for one in scale_checks(found, diameter_m, None))
-    assert not all(one.passed for one in scale_checks(found, 4 * diameter_m, None))
-    assert scale_checks(found, None, None) == []
+    assert all(one.passed for one in scale_of(track, diameter_m, None))
+    assert not all(one.passed for one in scale_of(track, 4 * diameter_m, None))
+    assert scale_of(track, None, None) == []
 
 
 @pytest.mark.parametrize("unknown", [0.0, -1.0, np.nan, np.inf])
-def test_a_length_that_cannot_be_is_not_known(unknown: float):
-    found = find_filmed_drop(filmed(0.7, gap_m=1.0), 0)
-    assert scale_checks(found, unknown, None) == []
-    assert scale_checks(found, unknown, unknown) == []
-    assert scale_checks(found, unknown, 1.0) == scale_checks(found, None, 1.0) != []
-    assert scale_checks(found, 0.08, unknown) == scale_checks(found, 0.08, None) != []
+def test_a_height_that_cannot_be_is_not_known(unknown: float):
+    track = filmed(0.7, gap_m=1.0)
+    assert scale_of(track, None, unknown) == []
+    assert scale_of(track, 0.08, unknown) == scale_of(track, 0.08, None) != []
+
+
+@pytest.mark.parametrize(
+    ("slower", "diameter_m", "said", "tells"),
+    [
+        (1, None, False, True),
+        (4, None, False, False),  # 16 m by the clock, a ball of 1.3 m
+        (4, None, True, True),
+        (4, 0.083, False, False),
+        (1, 0.083, False, True),
+        (2, 0.083, False, False),
+    ],
+)
+def test_what_hangs_on_the_clock_is_told_only_where_nothing_doubts_it(
+    slower: int, diameter_m: float | None, said: bool, tells: bool
+):
+    track = filmed(0.7, gap_m=1.0)
+    track = replace(track, stamps_ns=track.stamps_ns * slower)
+    detection = FilmDetection(True, "/camera", 0, track, Ball(diameter_m), is_rate_known=said)
+    assert detection.tells_speed == tells
+    assert (detection.extent[1] != "height not told") == tells
+    assert all((one.impact_speed_m_s is not None) == tells for one in detection.rebounds)
+    warned = any("slow motion" in one for one in detection.warnings)
+    assert warned == (not tells and diameter_m is None)
 
 
 @pytest.mark.parametrize(("restitution", "stands_out"), [(0.08, False), (0.2, True)])

@@ -91,6 +91,18 @@ def test_where_no_ball_is_heard_that_is_the_first_reason(tmp_path: Path, kind: s
     assert "let it bounce longer" not in reason
 
 
+def test_an_alarm_clock_is_rejected(tmp_path: Path):
+    """Four beeps each second: noises at random times explain them better than a ball."""
+    beeps_s = [0.5 + second + beep / 8 for second in range(6) for beep in range(4)]
+    samples = 0.002 * np.random.default_rng(1).standard_normal(7 * 44_100)
+    tone = 0.3 * np.sign(np.sin(2 * np.pi * 2048 * np.arange(2646) / 44_100))
+    for at in np.round(np.array(beeps_s) * 44_100).astype(int):
+        samples[at : at + len(tone)] += tone
+    found = record(write_wav(tmp_path / "alarm.wav", samples.astype(np.float32), 44_100))
+    assert found.verdict == "rejected"
+    assert "no bouncing ball is heard" in (found.reason or "")
+
+
 def test_a_short_bounce_is_told_to_bounce_longer(tmp_path: Path):
     clip = quiet_clip(QUIET[2])
     fourth_s, fifth_s = clip.scene.impacts_s[3:5]

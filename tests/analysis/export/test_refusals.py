@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from functools import partial
 from pathlib import Path
 
@@ -73,7 +74,9 @@ def test_a_tuning_that_is_not_there_is_refused(export: Command, tmp_path: Path):
 
 
 @pytest.mark.parametrize("existing", ["a.pybullet.py", "a.pybullet.urdf"])
-def test_what_exists_is_replaced_only_when_asked(export: Command, tmp_path: Path, existing: str):
+def test_what_is_another_logs_is_replaced_only_when_asked(
+    export: Command, tmp_path: Path, existing: str
+):
     """Both files are looked at before either is written."""
     tuning = payload_tuning(tmp_path / "a.json")
     (tmp_path / existing).write_text("mine")
@@ -82,8 +85,20 @@ def test_what_exists_is_replaced_only_when_asked(export: Command, tmp_path: Path
     assert f"{existing}: exists" in result.stderr
     assert {path.name for path in tmp_path.iterdir()} == {"a.json", existing}
     assert (tmp_path / existing).read_text() == "mine"
+    assert export(tuning, "--to", "pybullet", "--overwrite").returncode == 2
+    (tmp_path / existing).unlink()
+    assert export(tuning, "--to", "pybullet").returncode == 0
+    assert export(tuning, "--to", "pybullet").returncode == 0
+    place = tmp_path / existing
+    place.write_text(re.sub("(tuning of )[^,.]+", r"\1other", place.read_text(), count=1))
+    place.write_text(re.sub("(SHA-256 of the log: )..", r"\1zz", place.read_text(), count=1))
+    others = place.read_text()
+    result = export(tuning, "--to", "pybullet")
+    assert result.returncode == 2
+    assert "is the export of other" in result.stderr
+    assert place.read_text() == others
     assert export(tuning, "--to", "pybullet", "--overwrite").returncode == 0
-    assert "0.8" in (tmp_path / existing).read_text()
+    assert "0.8" in place.read_text()
 
 
 def test_a_card_is_no_tuning(export: Command, tmp_path: Path):

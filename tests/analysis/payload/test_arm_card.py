@@ -232,13 +232,13 @@ def test_a_card_replaces_only_its_own(command: Command, files: Path, card: ArmCa
     there.write_text(card_text(card))
     result = command(*words)
     assert result.returncode == 1
-    assert "exists, and is a card of other runs" in result.stderr
+    assert "exists, and is the card of " in result.stderr
     assert there.read_text() == card_text(card)
     assert command(*words, "--overwrite").returncode == 0
     assert command(*words).returncode == 0
     there.write_text("my notes")
     result = command(*words, "--overwrite")
-    assert "exists, and is no card of an arm" in result.stderr
+    assert "exists, and is no card that tunenet-logs wrote" in result.stderr
     assert there.read_text() == "my notes"
 
 

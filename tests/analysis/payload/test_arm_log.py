@@ -52,6 +52,59 @@ def test_radians_are_left_as_they_are(episode):
     )
 
 
+def test_speeds_that_no_arm_has_are_no_sign_of_degrees(episode):
+    """Stamps that are a hundred times too close, or a second publisher that always says zero."""
+    fast = changed(
+        episode,
+        **dict.fromkeys(
+            ("position", "velocity", "effort"),
+            lambda one: replace(
+                one, stamps_ns=one.stamps_ns[0] + (one.stamps_ns - one.stamps_ns[0]) // 100
+            ),
+        ),
+    )
+    mixed = changed(
+        episode, position=with_values(lambda q: np.where(np.arange(len(q))[:, None] % 2, q, 0.0))
+    )
+    for odd in (fast, mixed):
+        found = read_arm_log(odd, ARM)
+        assert not any("converted" in warning for warning in found.warnings)
+        assert any("bad stamps, two publishers" in warning for warning in found.warnings)
+
+
+def test_a_wrist_whose_turns_are_counted_is_no_sign_of_degrees(episode):
+    turned = changed(episode, position=with_values(lambda q: q + 6 * np.pi * (np.arange(7) == 6)))
+    plain, found = read_arm_log(episode, ARM), read_arm_log(turned, ARM)
+    turns = (found.position.values - plain.position.values) / (2 * np.pi)
+    np.testing.assert_allclose(turns, np.round(turns), atol=1e-9)
+    assert any("taken as rad" in warning for warning in found.warnings)
+
+
+def test_of_a_long_log_the_part_that_moves_is_used_and_that_is_said(episode):
+    seconds = np.arange(0, 2400, 0.5)
+    moves = ((seconds >= 1300) * np.sin(seconds))[:, None] * np.linspace(0.3, 0.9, 7)
+    long = changed(
+        episode,
+        **dict.fromkeys(
+            ("position", "velocity", "effort"),
+            lambda one: replace(
+                one,
+                stamps_ns=(1e9 * seconds).astype(np.int64),
+                values=moves + 1e-6 * seconds[:, None],
+            ),
+        ),
+    )
+    found = read_arm_log(long, ARM)
+    first_s, last_s = found.position.seconds[[0, -1]]
+    assert 1200 <= first_s <= 1320
+    assert 590 <= last_s - first_s <= 600
+    (words,) = [one for one in found.warnings if "--start" in one]
+    assert words.startswith("2400 s are more than is fitted at once: the 600 s from 12")
+    assert not any(
+        "--start" in one for one in read_arm_log(long, ARM, start_s=0, end_s=500).warnings
+    )
+
+
 def test_columns_are_brought_into_the_arms_order(episode):
     mixed = changed(episode, position=with_fingers, velocity=with_fingers, effort=with_fingers)
     plain, found = read_arm_log(episode, ARM), read_arm_log(mixed, ARM)

@@ -1,11 +1,12 @@
-"""The noise of a sampled curve."""
+"""Which samples are compared, and the noise of a sampled curve."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from analysis.sysid.compared import noise_of
+from analysis.sysid.compared import compared, noise_of
+from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 
 SECONDS = np.arange(0, 10, 0.005)
 
@@ -30,3 +31,16 @@ def test_constants_have_none(count: int):
 
 def test_a_smooth_curve_has_next_to_none():
     assert noise_of(np.sin(SECONDS)) < 1e-5
+
+
+@pytest.mark.parametrize("count", [19_999, 20_000, 20_001, 50_000])
+def test_long_columns_are_thinned_with_their_stamps(count: int):
+    stamps_ns = 1_000_000 * np.arange(count)
+    values = np.stack([np.sin(1e-9 * stamps_ns), np.full(count, np.nan)], axis=1)
+    values[7, 0] = np.nan
+    log = Episode(EpisodeInfo(), {"/x": Signal("/x", stamps_ns, values, ("x", "y"), "m")})
+    target = compared(log, log)
+    assert len(target.columns) == 1
+    assert 15_000 < len(target.values) <= 20_000
+    np.testing.assert_allclose(target.values, np.sin(target.seconds), atol=1e-12)
+    np.testing.assert_allclose(target.seen_in(log), target.values, atol=1e-12)

@@ -18,6 +18,7 @@ from recorders.simulators.arm.path import circle
 from recorders.simulators.arm.payload import PayloadSimulator
 from recorders.simulators.base import Parameter
 from recorders.simulators.drop import DropRig, DropSimulator
+from tests.analysis.sysid.pendulums import DAMPING, MODEL, START_NS, swing
 from tests.conftest import ROOT, Command
 from tests.same_log import assert_same_log
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
@@ -162,6 +163,29 @@ def test_our_payload_is_such_an_object():
     tuning = tunenet.tune(noisy(log, 0.01), simulator=simulator)
     assert tuning.estimate is not None, tuning.reason
     assert abs(tuning.estimate[0] - 0.8) < 0.01
+
+
+def test_a_long_log_of_angles_that_are_cut_to_one_turn_is_tuned(tmp_path: Path):
+    seconds = np.arange(0.0, 4.1, 0.0002)  # 20,500 samples; it hangs at 180 degrees
+    angles = swing(seconds)[:, :1] + np.pi + 1e-3 * np.random.default_rng(0).normal(size=(20500, 1))
+    stamps_ns = START_NS + np.round(1e9 * seconds).astype(np.int64)
+    shown = np.mod(angles + np.pi, 2 * np.pi) - np.pi
+    log = Episode(
+        EpisodeInfo(),
+        {
+            "/joint_states.position": Signal(
+                "/joint_states.position", stamps_ns, shown, ("hinge",), "rad"
+            )
+        },
+    )
+    path = tmp_path / "pendulum.xml"
+    path.write_text(MODEL.format(floor="", shapes="").replace("-0.4", "0.4"))
+    tuning = tunenet.tune(log, model=path, parameters=["joint/hinge.damping=0:.2"])
+    assert tuning.verdict == "ok", tuning.reason
+    assert tuning.interval95 is not None
+    low, high = tuning.interval95[0]
+    assert low < DAMPING < high < low + 0.005
+    assert any("cut to one turn: joined" in words for words in tuning.record.warnings)
 
 
 def test_a_simulator_that_shows_nothing_of_the_log_says_so():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from analysis.sysid.compared import compared
 from analysis.sysid.initial_state import initial_state
 from analysis.sysid.topics import Match, matched
 from recorders.simulators.mujoco.library import mujoco
+from recorders.simulators.mujoco.model_process import ModelProcess
 from recorders.simulators.mujoco.model_simulator import ModelSimulator
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import NotFoundError, UsageError
@@ -316,6 +318,37 @@ def test_what_a_joint_cannot_be_is_no_joint():
     assert len(blank.sensed[0].columns) == 1
 
 
+TURNING = np.linspace(2.0, 11.0, 50)
+GLITCH = np.where(np.arange(50) == 20, 3.5, 0.1 * np.sin(np.arange(50.0)))
+
+
+def cut(angles: Any, low: float = -np.pi) -> Any:
+    return np.mod(angles - low, 2 * np.pi) + low
+
+
+@pytest.mark.parametrize(
+    ("kind", "shown", "whole"),
+    [
+        ('type="hinge"', cut(TURNING), TURNING),
+        ('type="hinge"', cut(TURNING, 0.0), TURNING),
+        ('type="hinge"', cut(-TURNING), -TURNING),
+        ('type="hinge"', np.where(np.arange(50) == 9, np.nan, cut(TURNING)), TURNING),
+        ('type="hinge"', TURNING, None),
+        ('type="hinge"', GLITCH, None),
+        ('type="hinge"', np.where(np.arange(50) < 20, 0.0, 4.0) + 0.01 * TURNING, None),
+        ('type="hinge" limited="true" range="-180 180"', cut(TURNING), None),
+        ('type="slide"', cut(TURNING), None),
+    ],
+)
+def test_angles_that_are_cut_to_one_turn_are_joined(kind: str, shown: Any, whole: Any):
+    joint = f'<body><joint name="wheel" {kind}/><geom size=".1"/></body>'
+    states = signal("/joint_states.position", ("wheel",), values=shown[:, None])
+    found = match(states, model=model_of(f"<worldbody>{joint}</worldbody>", ""))
+    assert len(found.joined) == (whole is not None)
+    expected = shown if whole is None else np.where(np.isnan(shown), np.nan, whole)
+    np.testing.assert_allclose(found.sensed[0].signal.values[:, 0], expected, atol=1e-12)
+
+
 def test_a_thousand_columns():
     columns = [f"j{number}" for number in range(999)] + ["elbow"]
     found = match(signal("/joint_states.position", columns), signal("/cmd.position", columns))
@@ -334,7 +367,10 @@ def test_stamps_in_bursts_are_simulated():
     state = initial_state(model, found.sensed, START_NS)
     spec = mujoco().MjSpec.from_string(f"<mujoco>{PARTS}{SERVOS}</mujoco>")
     end_ns = int(stamps_ns[-1])
-    simulator = ModelSimulator(spec, (), tuple(found.sensed), tuple(found.drives), state, end_ns)
+    process = ModelProcess(Path("bursts.xml"))
+    simulator = ModelSimulator(
+        spec, (), tuple(found.sensed), tuple(found.drives), state, end_ns, process=process
+    )
     target = compared(log, simulator.rollout({}))
     assert len(target.values) == 50
     assert np.isfinite(target.seen_in(simulator.rollout({}))).all()

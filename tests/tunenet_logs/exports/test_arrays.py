@@ -231,12 +231,12 @@ def test_things_in_one_list_are_never_woven_together(tmp_path: Path):
     (tmp_path / "a.json").write_text(json.dumps({"made_by": "us", "rows": rows}))
     signals = read_episode(tmp_path / "a.json").signals
     assert {name: set(one.values[:, 0]) for name, one in signals.items()} == {
-        "id_3.track": {3.0}, "id_4.track": {4.0},
+        "track.object3": {3.0}, "track.object4": {4.0},
     }  # fmt: skip
     paths = [{"points": [{"t": at, "x": n, "y": at} for at in T.tolist()]} for n in range(3)]
     (tmp_path / "b.json").write_text(json.dumps({"paths": paths}))
     assert set(read_episode(tmp_path / "b.json").signals) == {
-        "run_1.track", "run_2.track", "run_3.track",
+        "track.run1", "track.run2", "track.run3",
     }  # fmt: skip
 
 

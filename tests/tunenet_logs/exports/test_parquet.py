@@ -49,8 +49,8 @@ def lerobot(folder: Path, *, version: int = 3) -> Path:
 @pytest.mark.parametrize("version", [2, 3])
 def test_episodes_of_a_lerobot_data_set(tmp_path: Path, version: int):
     episode = read_episode(lerobot(tmp_path, version=version))
-    assert set(episode.signals) == {"episode_0.observation.state", "episode_1.observation.state"}
-    signal = episode.signals["episode_1.observation.state"]
+    assert set(episode.signals) == {"observation.state.episode0", "observation.state.episode1"}
+    signal = episode.signals["observation.state.episode1"]
     assert signal.columns == ("pan.pos", "lift.pos", "gripper.pos")
     assert signal.unit == ""
     assert signal.stamps_ns[29] == round(29e9 / 30)

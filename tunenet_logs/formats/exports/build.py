@@ -69,11 +69,17 @@ def position_signal(
     """
     rows = np.asarray(values, np.float64)
     seen = np.isfinite(rows).all(axis=1)
-    keep, ordered, notes = sorted_stamps(stamps_ns[seen])
+    keep, ordered, notes, left_out = sorted_stamps(stamps_ns[seen], (rows[seen],))
     unit = unit if unit in LENGTHS else options.length_unit or unit
     scale, unit = (LENGTHS[unit], "m") if unit in LENGTHS else (1.0, unit or UNSTATED)
     signal = Signal(
-        name, ordered, rows[seen][keep] * scale, ("x", "y", "z"), unit, counts_frames=counts_frames
+        name,
+        ordered,
+        rows[seen][keep] * scale,
+        ("x", "y", "z"),
+        unit,
+        counts_frames=counts_frames,
+        left_out=left_out,
     )
     return signal, [f"{name}: {note}" for note in notes]
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+from tunenet_logs.formats.tables.lines import encoding_of, is_text
 from tunenet_logs.regular_file import open_regular
 
 _BYTES = 65536
@@ -29,14 +30,18 @@ class Start:
         """Of the file's name, in small letters, with the dot."""
         return self.path.suffix.lower()
 
+    @property
+    def is_text(self) -> bool:
+        """Whether it is a text, of whatever name."""
+        return is_text(self.data, self.suffix)
+
     @cached_property
     def lines(self) -> tuple[str, ...]:
         """As text, the last one perhaps cut; none of a binary file."""
-        if self.data.startswith((b"\xff\xfe", b"\xfe\xff")):
-            return tuple(self.data.decode("utf-16", "replace").splitlines())
-        if b"\0" in self.data:
+        encoding = encoding_of(self.data)
+        if not self.is_text or (b"\0" in self.data and encoding in (None, "utf-8-sig", "cp1252")):
             return ()
-        return tuple(self.data.decode("utf-8-sig", "replace").splitlines())
+        return tuple(self.data.decode(encoding or "utf-8", "replace").splitlines())
 
 
 def start_of(path: Path) -> Start:

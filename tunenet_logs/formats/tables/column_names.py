@@ -11,6 +11,7 @@ from tunenet_logs.formats.tables.meaning import (
     LENGTHS,
     POWERS,
     CoordinateColumn,
+    DateColumn,
     FrameColumn,
     ImpactNumberColumn,
     JointColumn,
@@ -25,8 +26,16 @@ from tunenet_logs.formats.tables.meaning import (
 )
 
 # Times.
-_TIMES = frozenset(("time", "times", "stamp", "timestamp", "elapsed", "rosbagtimestamp"))
+_TIMES = frozenset(
+    (
+        *("time", "times", "stamp", "timestamp", "timestamps", "elapsed", "rosbagtimestamp"),
+        *("datetime", "zeit", "zeitstempel", "uhrzeit", "temps", "tiempo", "tempo", "tijd"),
+    )
+)
 """What a time is called, beside t and units alone."""
+
+_DATES = frozenset(("date", "datum", "fecha"))
+"""What a date is called."""
 
 _NO_TIMES = frozenset(("delta", "diff", "step"))
 """Words that make it a time between two rows."""
@@ -53,7 +62,12 @@ _PIXELS = frozenset(("px", "pix", "pixel", "pixels"))
 _AXES = {"x": 0, "y": 1, "z": 2}
 """Axes by their names."""
 
-_HEIGHTS = frozenset(("height", "altitude", "elevation"))
+_HEIGHTS = frozenset(
+    (
+        *("height", "altitude", "elevation"),
+        *("höhe", "hoehe", "hauteur", "altura", "altezza", "hoogte"),
+    )
+)
 """What z is called as well."""
 
 _PLACES = frozenset(
@@ -76,7 +90,11 @@ _OTHERS = frozenset(
 )
 """Words that make an axis that of something else than a position."""
 
-_LINES = {"position": 2, "pos": 2, "distance": 3, "displacement": 3}
+_LINES = {
+    "h": 1,
+    **dict.fromkeys(("position", "pos"), 2),
+    **dict.fromkeys(("distance", "displacement", "dist", "s", "d", "weg", "abstand"), 3),
+}
 """What the one coordinate of a motion sensor is called, with a unit of length, and its rank."""
 
 _SPEEDS = frozenset(
@@ -102,7 +120,9 @@ _RUNS = {
     **dict.fromkeys(("run", "runs", "trial", "drop", "take", "episode", "throw", "rep"), "run"),
     **dict.fromkeys(("repetition", "attempt", "experiment", "versuch"), "run"),
     **{thing: thing for thing in ("track", "particle", "object", "body", "marker", "ball")},
-    "id": "object",
+    **{thing: thing for thing in ("entity", "actor", "agent", "subject", "tag")},
+    **dict.fromkeys(("rigidbody", "asset", "thing", "item"), "object"),
+    **dict.fromkeys(("id", "name", "label", "childframe"), "object"),
 }
 """What runs are called, or the things of a table that holds them below each other."""
 
@@ -121,12 +141,7 @@ _NO_THINGS = frozenset(
 """Words behind an axis that are no thing's name."""
 
 # Joints.
-_QUANTITY = re.compile(
-    r"(effort|torque|tau|position|pos|angle|theta|qdot|qd|dq|q|velocity|vel|current)s?(\d*)"
-)
-"""A quantity of a joint with the joint's number, perhaps: "effort3", "velocities", "q1"."""
-
-_QUANTITIES = {
+JOINT_QUANTITIES = {
     **dict.fromkeys(("effort", "torque", "tau"), "effort"),
     **dict.fromkeys(("position", "pos", "angle", "theta", "q"), "position"),
     **dict.fromkeys(("velocity", "vel", "qdot", "qd", "dq"), "velocity"),
@@ -134,16 +149,30 @@ _QUANTITIES = {
 }
 """What JointState calls them, and the current of a joint's motor."""
 
+_QUANTITY = re.compile(rf"({'|'.join(sorted(JOINT_QUANTITIES, key=len, reverse=True))})s?(\d*)")
+"""A quantity of a joint with the joint's number, perhaps: "effort3", "velocities", "q1"."""
+
 _JOINT = ("joint", "j")
 """Words for any joint, beside its number."""
 
-_ASKED = frozenset(
+COMMANDED = frozenset(
     (
-        *("target", "desired", "command", "commanded", "cmd", "setpoint", "goal", "action"),
-        *("reference", "ref"),
+        *("target", "tgt", "desired", "des", "command", "commanded", "cmd", "setpoint", "goal"),
+        *("reference", "ref", "planned", "action"),
     )
 )
 """Words of what a controller asked for."""
+
+MODELLED = frozenset(
+    (
+        *("ext", "hat", "est", "estimated", "estimate", "external", "predicted", "pred"),
+        *("model", "modelled", "modeled", "computed", "calculated"),
+    )
+)
+"""Words of what a controller reckons: a torque without the arm's own, or out of its model."""
+
+MEASURED = frozenset(("actual", "act", "measured", "meas", "msr", "feedback", "fb"))
+"""Words of what was measured."""
 
 _NO_JOINTS = frozenset(
     (
@@ -155,18 +184,23 @@ _NO_JOINTS = frozenset(
 )
 """Words that make a quantity of a joint another one."""
 
+_ANGULAR = ("ang", "angular")
+"""Words that are no joint's name: "AngVel"."""
+
 _TURNS = ("position", "velocity")
 """Quantities that a unit of angles may stand for: people write deg for deg/s too."""
 
-_UNITS: dict[Words, tuple[tuple[str, ...], float]] = {
+_RADIANS, _DEGREES = ("rad", "rads", "radian", "radians"), ("deg", "degs", "degree", "degrees")
+_SECOND = (("s",), ("sec",), ("second",), ("per", "s"), ("per", "sec"), ("per", "second"))
+
+JOINT_UNITS: dict[Words, tuple[tuple[str, ...], float]] = {
+    **{(word,): (_TURNS, 1.0) for word in _RADIANS},
+    **{(word,): (_TURNS, math.pi / 180) for word in _DEGREES},
+    **{(word, *one): (("velocity",), 1.0) for word in _RADIANS for one in _SECOND},
+    **{(word, *one): (("velocity",), math.pi / 180) for word in _DEGREES for one in _SECOND},
     ("nm",): (("effort",), 1.0),
     ("n", "m"): (("effort",), 1.0),
     ("mnm",): (("effort",), 0.001),
-    ("rad",): (_TURNS, 1.0),
-    ("deg",): (_TURNS, math.pi / 180),
-    ("degrees",): (_TURNS, math.pi / 180),
-    ("rad", "s"): (("velocity",), 1.0),
-    ("deg", "s"): (("velocity",), math.pi / 180),
     ("a",): (("current",), 1.0),
     ("ma",): (("current",), 0.001),
 }
@@ -191,6 +225,9 @@ def _meaning_of(name: str) -> Meaning:
             break
         before = words
         lower = lowered(words)
+        if "in" in lower[-4:-1] and lower[0] != "in":  # "h in cm", not "h (in)"
+            at = len(lower) - 2 - lower[-2::-1].index("in")
+            words, lower = (*words[:at], *words[at + 1 :]), (*lower[:at], *lower[at + 1 :])
         found = _time(name, lower) or _number_of(lower) or _coordinate_of(lower) or _joint_of(words)
         if found is not None:
             return found
@@ -204,19 +241,21 @@ def by_name(_index: int, name: str) -> Meaning:
 
 def _number_of(lower: Words) -> FrameColumn | ImpactNumberColumn | RunColumn | None:
     """What the words of a name say that a row's number counts; None if nothing."""
-    bare = lower[:-1] if len(lower) > 1 and lower[-1] in _NUMBERS else lower
+    bare = lower[:-1] if len(lower) > 1 and lower[-1] in (*_NUMBERS, "name", "label") else lower
+    if "".join(bare) in _RUNS:
+        return RunColumn(_RUNS["".join(bare)])
     if len(bare) == 2 and bare[0] in ("video", "movie", "image"):
         bare = bare[1:]
     if len(bare) != 1:
         return None
-    if bare[0] in _RUNS:
-        return RunColumn(_RUNS[bare[0]])
     if bare[0] in _IMPACTS:
         return ImpactNumberColumn()
     return FrameColumn() if bare[0] in _FRAMES else None
 
 
-def _time(name: str, lower: Words) -> TimeColumn | None:
+def _time(name: str, lower: Words) -> TimeColumn | DateColumn | None:
+    if len(lower) == 1 and lower[0] in _DATES:
+        return DateColumn()
     power = POWERS.get(lower[-1])
     bare = lower if power is None else lower[:-1]
     if not bare:  # "s" is an arc's length more often
@@ -280,9 +319,9 @@ def _joint_of(words: Words) -> JointColumn | JointNameColumn | UnusedColumn | No
     lower = lowered(words)
     if found := re.fullmatch(r"field name(\d+)", " ".join(lower)):
         return JointNameColumn(found[1])
-    count = next((n for n in (2, 1) if len(lower) > n and lower[-n:] in _UNITS), 0)
+    count = next((n for n in (3, 2, 1) if len(lower) > n and lower[-n:] in JOINT_UNITS), 0)
     known = ("effort", *_TURNS, "current")
-    quantities, scale = _UNITS[lower[-count:]] if count else (known, 1.0)
+    quantities, scale = JOINT_UNITS[lower[-count:]] if count else (known, 1.0)
     words = words[: len(words) - count]
     matches = [_QUANTITY.fullmatch(word) for word in lowered(words)]
     at = max((n for n, match in enumerate(matches) if match), default=None)
@@ -290,7 +329,7 @@ def _joint_of(words: Words) -> JointColumn | JointNameColumn | UnusedColumn | No
         return None
     match = matches[at]
     assert match is not None
-    quantity = _QUANTITIES[match[1]]
+    quantity = JOINT_QUANTITIES[match[1]]
     if quantity not in quantities or (not count and lower[-1] in LENGTHS):
         return UnusedColumn(
             f"its unit is not one of a joint's {quantity}; a height is called height_m"
@@ -299,6 +338,7 @@ def _joint_of(words: Words) -> JointColumn | JointNameColumn | UnusedColumn | No
         return why
     group, joint = _apart((*words[:at], *words[at + 1 :]))
     digits = match[2] or "".join(word for word in joint[-1:] if word.isdecimal())
+    joint = tuple(word for word in joint if word.lower() not in (*MEASURED, *_ANGULAR))
     named = [word for word in joint if word.lower() not in _JOINT and not word.isdecimal()]
     if not named and digits:
         return JointColumn(group, f"joint{digits}", quantity, scale, number=digits)
@@ -308,8 +348,11 @@ def _joint_of(words: Words) -> JointColumn | JointNameColumn | UnusedColumn | No
 
 def _no_joint(quantity: str, others: Words) -> UnusedColumn | None:
     """Why a quantity with these words beside it is none that was measured at a joint."""
-    if _ASKED.intersection(others):
+    bare = {word.rstrip("0123456789") for word in others}
+    if not COMMANDED.isdisjoint(bare):
         return UnusedColumn("it is what was asked for, not what was measured")
+    if not MODELLED.isdisjoint(bare):
+        return UnusedColumn("it is the controller's estimate, not a measurement")
     if _NO_JOINTS.intersection(others):
         return UnusedColumn(f"it is no {quantity} of a joint")
     is_named = any("joint" in word or word.isdecimal() for word in others)

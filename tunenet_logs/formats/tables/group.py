@@ -47,10 +47,15 @@ class Group:
 
     def name_of_run(self, run: str) -> str:
         """What a run's signal is called; one of joints ends with its quantity."""
-        if self.needs_all or self.is_impacts:
-            return f"{self.name}.{run}"
-        robot, _, quantity = self.name.rpartition(".")
-        return f"{robot}.{run}.{quantity}"
+        return name_of_run(self.name, run, is_joints=not (self.needs_all or self.is_impacts))
+
+
+def name_of_run(name: str, run: str, *, is_joints: bool) -> str:
+    """What a run's signal is called; one of joints ends with its quantity."""
+    if not run:
+        return name
+    robot, _, quantity = name.rpartition(".") if is_joints else (name, "", "")
+    return ".".join(filter(None, (robot, run, quantity)))
 
 
 def stamp_for(words: Words, stamps: Sequence[Clock]) -> Clock | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, islice
@@ -9,13 +10,21 @@ from math import isfinite
 from pathlib import Path
 
 from tunenet_logs.errors import LogError
+from tunenet_logs.formats.tables.column_names import UNKNOWN, meaning_of
+from tunenet_logs.formats.tables.known_rows import LOOK_ROWS, KnownRows, known_rows
 from tunenet_logs.formats.tables.layout import MOST_COLUMNS, TableLayout, table_layout_of
 from tunenet_logs.formats.tables.lines import MOST_LINE, SEPARATORS, cells_of
 from tunenet_logs.formats.tables.numbers import Numbers
 from tunenet_logs.formats.tables.offers import offer_by_name, offer_by_number, short_list
-from tunenet_logs.formats.tables.row_numbers import numbered, said_layout
+from tunenet_logs.formats.tables.row_numbers import ROW, numbered, said_layout
 from tunenet_logs.formats.tables.said import contradiction_of, is_name, places_of
-from tunenet_logs.formats.tables.units import length_in, unit_alone, with_lengths, with_row
+from tunenet_logs.formats.tables.units import (
+    length_in,
+    unit_alone,
+    with_degrees,
+    with_lengths,
+    with_row,
+)
 
 _MOST_BEFORE = 200
 """Lines of a preamble."""
@@ -42,10 +51,14 @@ class OpenTable:
 
     Attributes:
         rows: the lines behind the header and its units.
+        what: the table is, beside a table; "" where nothing says so.
+        said_rows: how many rows it says that it has; None where it does not.
     """
 
     layout: TableLayout
     rows: Lines
+    what: str = ""
+    said_rows: int | None = None
 
 
 def open_table(
@@ -81,14 +94,20 @@ def open_table(
                 break
         except ValueError as error:
             raise LogError(f"{path}: line {number}: {error}") from error
+    ahead = list(islice(lines, LOOK_ROWS))
+    lines = chain(ahead, lines)
     try:
-        layout = before.layout(first)
+        layout = before.layout(first, [line for _, line in ahead if line and line[0] not in "#%"])
     except ValueError as error:
         raise LogError(f"{path}: {error}") from error
     if layout is None:
         rest = (line for _, line in islice(lines, 1, None))
-        raise LogError(f"{path}: {before.refusal(first, rest)}")
-    table = _with_units(path, OpenTable(layout, lines), before.length)
+        why = before.known.refusal if before.known else before.refusal(first, rest)
+        raise LogError(f"{path}: {why}")
+    table = _with_units(path, OpenTable(layout, lines), before)
+    if before.known is not None:
+        rows = before.known.of_one(path, table.rows)
+        table = replace(table, rows=rows, what=before.known.what)
     return replace(table, rows=numbered(table.rows, layout)) if before.rows_are_frames else table
 
 
@@ -100,6 +119,7 @@ class _Before:
         commented: the same of a comment, as numpy.savetxt and rostopic write it.
         length: the unit of lengths; "" where none is said.
         rows_are_frames: whether the last column of the layout is that of the rows' numbers.
+        known: what the rows are, where no line names their columns.
     """
 
     def __init__(self, said: Mapping[str, str], counts_rows: bool) -> None:
@@ -107,6 +127,7 @@ class _Before:
         self.commented: TableLayout | None = None
         self.length = ""
         self.rows_are_frames = False
+        self.known: KnownRows | None = None
         self._said = said
         self._counts_rows = counts_rows
         self._texts: list[str] = []
@@ -164,16 +185,27 @@ class _Before:
         made, self.rows_are_frames = said_layout(places, names, separator, self._counts_rows)
         return made
 
-    def layout(self, row: str | None) -> TableLayout | None:
+    def layout(self, row: str | None, ahead: Sequence[str]) -> TableLayout | None:
         """The columns of the table that begins with that row; None where they are not known.
+
+        Args:
+            row: the first one; None where there is none.
+            ahead: some of them.
 
         Raises:
             ValueError: they are none of those that a user says.
         """
         layouts = (self.header, self.commented)
         found = next((made for made in layouts if made is not None and made.groups), None)
-        if found is not None or not self._said:
+        self._check()
+        if found is None and self._is_nameless(row):
+            self.known = known_rows(ahead)
+        if found is not None:
             return found
+        if not self._said:
+            if self.known is not None or not self._counts_rows or any(layouts):
+                return self._known_layout()
+            return self._counted(row)
         if self.header is not None:
             raise ValueError(_unusable(self.header))
         separator, names = self._names(row)
@@ -184,6 +216,8 @@ class _Before:
                 "name one that it has"
             )
         known = names if any(names) else [f"column {at}" for at in range(1, len(names) + 1)]
+        if self.known is not None:
+            known = list(self.known.names)
         places, missing = places_of(self._said, known)
         if missing:
             listed = short_list(known) or "none"
@@ -191,6 +225,48 @@ class _Before:
                 f"has no column {missing[0][:60]!r}; its columns are {listed}; name one of them"
             )
         return self._below_names(self._said_layout(places, known, separator))
+
+    def _is_nameless(self, row: str | None) -> bool:
+        """Whether no line names the columns of that row, or only as trajectories are headed."""
+        names = self._names(row)[1]
+        named = {name.lower() for name in names}
+        is_trajectory = {"tx", "ty", "tz"} <= named or {"px", "py", "pz"} <= named
+        return is_trajectory or all(meaning_of(name) == UNKNOWN for name in names)
+
+    def _known_layout(self) -> TableLayout | None:
+        """The columns of rows that say themselves what they are."""
+        if self.known is None or self.known.remedy:
+            return None
+        self.rows_are_frames = not self.known.has_clock
+        names = (*self.known.names, "frame") if self.rows_are_frames else self.known.names
+        return table_layout_of(names, self.known.separator)
+
+    @property
+    def is_opensim(self) -> bool:
+        """Whether it is what OpenSim writes: .sto and .mot."""
+        return any(text.strip().lower() == "endheader" for text in self._texts)
+
+    def says(self, key: str) -> str:
+        """What OpenSim's head says of a key, in small letters; "" where it is not there."""
+        lines = (text.partition("=") for text in self._texts if "=" in text)
+        said = {one.strip().lower(): value.strip(" \t,;").lower() for one, _, value in lines}
+        return said.get(key, "") if self.is_opensim else ""
+
+    def _check(self) -> None:
+        """Raise ValueError where the head says that the table holds no positions."""
+        first = self._texts[0].strip(" \t,;") if self._texts else ""
+        if self.is_opensim and re.search("velocit|accelerat|speed", first, re.I):
+            raise ValueError(
+                f"is OpenSim's table of {first[:60]!r}, and positions are read; name the table of "
+                "positions that the same analysis wrote (..._pos_global.sto)"
+            )
+
+    def _counted(self, row: str | None) -> TableLayout | None:
+        """The layout of columns without a clock whose rows are frames; None where it has none."""
+        separator, names = self._names(row)
+        layout = table_layout_of([*names, ROW], separator) if any(names) else None
+        self.rows_are_frames = layout is not None and bool(layout.groups)
+        return self._below_names(layout) if layout is not None and layout.groups else None
 
     def _below_names(self, layout: TableLayout) -> TableLayout:
         """The layout with the units of a row between the names and the first row, if there is one.
@@ -264,7 +340,7 @@ def _size_of(line: str | None) -> str:
     return f"a header of {columns} columns, over the limit of {MOST_COLUMNS}"
 
 
-def _with_units(path: Path, table: OpenTable, length: str) -> OpenTable:
+def _with_units(path: Path, table: OpenTable, before: _Before) -> OpenTable:
     """A table whose columns have the units of a row below the header, and of the preamble."""
     layout, rows = table.layout, table.rows
     for number, line in rows:
@@ -279,11 +355,19 @@ def _with_units(path: Path, table: OpenTable, length: str) -> OpenTable:
         if line is None or (line.strip() and not is_comment):
             rows = chain([(number, line)], rows)
             break
-    if length:
-        layout = _again(layout, with_lengths(layout.header, length, layout.reading))
+    if before.length:
+        layout = _again(layout, with_lengths(layout.header, before.length, layout.reading))
+    if before.says("indegrees") == "yes":
+        layout = _again(layout, with_degrees(layout.header, layout.reading))
     if not layout.groups:
         raise LogError(f"{path}: {_unusable(layout)}")
-    return OpenTable(layout, rows)
+    said = before.says("nrows")
+    return OpenTable(
+        layout,
+        rows,
+        "of OpenSim" if before.is_opensim else "",
+        int(said) if said.isdecimal() and len(said) < 10 else None,
+    )
 
 
 def _named_by(layout: TableLayout, line: str) -> TableLayout | None:

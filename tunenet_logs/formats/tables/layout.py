@@ -9,6 +9,7 @@ from tunenet_logs.formats.tables.column_names import by_name, meaning_of
 from tunenet_logs.formats.tables.group import Group, Used, plain_words
 from tunenet_logs.formats.tables.joints import joints_of
 from tunenet_logs.formats.tables.meaning import (
+    DateColumn,
     FrameColumn,
     ImpactColumn,
     ImpactNumberColumn,
@@ -36,7 +37,7 @@ class TableLayout:
     Attributes:
         separator: of cells; None is white space.
         names: the columns that hold the names of joints, by the joint's number.
-        run: the column of the run's number and what it counts; None where there is none.
+        runs: the columns that say of which run and of which thing a row is, and what each counts.
         unused: why a column is not used, by its name.
         header: the names of all columns, with their units.
         reading: what each of them means.
@@ -45,7 +46,7 @@ class TableLayout:
     separator: str | None
     groups: tuple[Group, ...]
     names: Mapping[str, int]
-    run: tuple[int, str] | None
+    runs: tuple[tuple[int, str], ...]
     unused: Mapping[str, str]
     header: tuple[str, ...]
     reading: Reading = by_name
@@ -95,9 +96,17 @@ def table_layout_of(
         frames = (header[at] for at, one in meanings.items() if isinstance(one, FrameColumn))
         unused.update(dict.fromkeys(frames, "there is a column of times"))
     texts = {one.number: at for at, one in meanings.items() if isinstance(one, JointNameColumn)}
-    counts = ((at, one.kind) for at, one in meanings.items() if isinstance(one, RunColumn))
-    run = min(counts, key=lambda found: found[1] != "run", default=None)
-    return TableLayout(separator, tuple(groups), texts, run, unused, tuple(header), reading)
+    return TableLayout(
+        separator, tuple(groups), texts, run_columns(meanings), unused, tuple(header), reading
+    )
+
+
+def run_columns(meanings: Mapping[int, Meaning]) -> tuple[tuple[int, str], ...]:
+    """The columns that say of which run and of which thing a row is, and what each counts."""
+    counts = [(at, one.kind) for at, one in meanings.items() if isinstance(one, RunColumn)]
+    runs = [one for one in counts if one[1] == "run"]
+    things = sorted((one for one in counts if one[1] != "run"), key=lambda one: one[1] == "object")
+    return (*runs[:1], *things[:1])
 
 
 def clock_of(header: Sequence[str]) -> Clock | None:
@@ -119,6 +128,7 @@ def _clocks(header: Sequence[str], meanings: Mapping[int, Meaning]) -> list[tupl
         for at, meaning in times.items()
         if meaning.part == "nanosec"
     }
+    dates = [at for at, meaning in meanings.items() if isinstance(meaning, DateColumn)]
     clocks: list[tuple[bool, Clock]] = []
     paired: set[int] = set()
     for at, meaning in times.items():
@@ -129,9 +139,12 @@ def _clocks(header: Sequence[str], meanings: Mapping[int, Meaning]) -> list[tupl
             clocks.append((meaning.is_header, clock))
     for at, meaning in times.items():
         if at not in paired:
-            clocks.append(
-                (meaning.is_header, Clock(header[at], (at,), meaning.power, meaning.scope))
-            )
+            has_date = bool(dates) and meaning.power is None and not meaning.is_header
+            indices = (dates[0], at) if has_date else (at,)
+            clock = Clock(header[at], indices, meaning.power, meaning.scope, has_date=has_date)
+            clocks.append((meaning.is_header, clock))
+    if dates and not times:
+        clocks.append((False, Clock(header[dates[0]], (dates[0],), None)))
     clocks += [
         (
             False,

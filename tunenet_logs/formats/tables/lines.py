@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
-from collections.abc import Iterator
+import re
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from tunenet_logs.errors import LogError
@@ -21,16 +23,81 @@ MOST_LINE = 1024**2
 _MOST_BYTES = 512 * 1024**2
 """Of a table: its cells are read one by one, in Python."""
 
-_UTF16 = (b"\xff\xfe", b"\xfe\xff")
-"""How UTF-16 begins; spreadsheets write it as "Unicode text"."""
+_LOOK_BYTES = 65_536
+"""Of a file, by which text is told from what is none, and its encoding."""
 
+_MOST_FOREIGN = 0.3
+"""Share of bytes beyond ASCII in a text of one byte a character; pictures and sound have more."""
+
+_NUMBER = re.compile(r"[-+]?(?:[0-9]++(?:[.,][0-9]++)?|[.,][0-9]++)(?:[eE][-+]?[0-9]+)?")
+
+_MARKS = (
+    (codecs.BOM_UTF32_LE, "utf-32"),
+    (codecs.BOM_UTF32_BE, "utf-32"),
+    (codecs.BOM_UTF16_LE, "utf-16"),
+    (codecs.BOM_UTF16_BE, "utf-16"),
+    (codecs.BOM_UTF8, "utf-8-sig"),
+)
+"""How encodings begin that mark themselves; spreadsheets write UTF-16 as "Unicode text"."""
+
+_CONTROLS = re.compile(rb"[\x00-\x08\x0e-\x19\x1c-\x1f\x7f]")
+"""Bytes that no text has; a terminal's log has ESC (1b), an old one of DOS ends with 1a."""
 
 _MOST_LINES = 4_000_000
 """Of a table, empty ones too: as many again as it may have rows."""
 
 
+def encoding_of(start: bytes) -> str | None:
+    """How a text file is encoded, by its first bytes; None where it is no text.
+
+    UTF-8, UTF-16 and UTF-32 are known by their marks, UTF-16 without a mark by its zeros, and what
+    is no UTF-8 is taken as Windows' own (CP1252). A damaged byte of UTF-8 stands beside letters
+    that are whole; in CP1252 there is none of these.
+    """
+    start = start[:_LOOK_BYTES]
+    for mark, encoding in _MARKS:
+        if start.startswith(mark):
+            return encoding
+    even, odd = start[::2], start[1::2]
+    if b"\0" in start:
+        if even.count(0) * odd.count(0) or start.count(0) * 2 < len(odd):
+            return None
+        encoding = "utf-16-le" if odd.count(0) else "utf-16-be"
+        text = start.decode(encoding, "replace").encode(errors="replace")
+        return None if _CONTROLS.search(text) else encoding
+    if _CONTROLS.search(start):
+        return None
+    try:
+        start.decode()
+    except UnicodeDecodeError as error:
+        is_cut = error.start >= len(start) - 3 and error.reason.startswith("unexpected end")
+        others = sum(byte > 127 for byte in start)
+        if not is_cut:
+            is_utf8 = not start.decode("utf-8", "ignore").isascii()
+            text = "utf-8-sig" if is_utf8 else "cp1252"
+            return text if others < _MOST_FOREIGN * len(start) else None
+    return "utf-8-sig"
+
+
+def text_encoding(path: Path) -> str:
+    """How a file is encoded that is to be read as text, whatever it is.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    with open_regular(path) as file:
+        return encoding_of(file.read(_LOOK_BYTES)) or "utf-8-sig"
+
+
+def is_text(start: bytes, suffix: str) -> bool:
+    """Whether a file is text, by its first bytes; under a table's name it may be damaged text."""
+    if encoding_of(start) is not None:
+        return True
+    return suffix.lower() in SUFFIXES and b"\0" not in start[:_LOOK_BYTES]
+
+
 def is_table(path: Path) -> bool:
-    """Whether a file is text, by its name and its first bytes.
+    """Whether a file has the name of a table, and is text.
 
     Raises:
         OSError: it cannot be read.
@@ -38,8 +105,18 @@ def is_table(path: Path) -> bool:
     if path.suffix.lower() not in SUFFIXES:
         return False
     with open_regular(path) as file:
-        start = file.read(4096)
-    return start.startswith(_UTF16) or b"\0" not in start
+        return is_text(file.read(_LOOK_BYTES), path.suffix)
+
+
+def has_rows(lines: Iterable[str]) -> bool:
+    """Whether a line of a text begins with a number, and is of two or more and little else."""
+    return any(map(_is_row, lines))
+
+
+def _is_row(line: str) -> bool:
+    cells = re.split(r"[,;\s]+", line[:_LOOK_BYTES].strip(" ,;\t"))
+    numbers = sum(_NUMBER.fullmatch(cell) is not None for cell in cells)
+    return numbers > 1 and numbers * 2 >= len(cells) and _NUMBER.fullmatch(cells[0]) is not None
 
 
 def lines_of(path: Path) -> Iterator[str | None]:
@@ -52,9 +129,7 @@ def lines_of(path: Path) -> Iterator[str | None]:
     size = path.stat().st_size
     if size > _MOST_BYTES:
         raise LogError(f"{path}: is a table of {size} bytes, over the limit of 512 MiB; split it")
-    with open_regular(path) as file:
-        encoding = "utf-16" if file.read(2) in _UTF16 else "utf-8-sig"
-    with open_regular_text(path, encoding, errors="replace") as file:
+    with open_regular_text(path, text_encoding(path), errors="replace") as file:
         count = 0
         while line := file.readline(MOST_LINE):
             count += 1

@@ -20,7 +20,7 @@ LENGTHS = {
 """Units of lengths [m]."""
 
 POWERS = {
-    **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 0),
+    **dict.fromkeys(("s", "sec", "secs", "second", "seconds", "sek", "sekunden"), 0),
     **dict.fromkeys(("ms", "msec", "msecs", "milis", "millis", "millisecond", "milliseconds"), -3),
     **dict.fromkeys(("us", "usec", "usecs", "micros", "microsecond", "microseconds"), -6),
     **dict.fromkeys(("ns", "nsec", "nsecs", "nanosec", "nanosecs", "nanos"), -9),
@@ -44,6 +44,11 @@ class TimeColumn:
     scope: Words = ()
     is_header: bool = False
     part: str = ""
+
+
+@dataclass(frozen=True)
+class DateColumn:
+    """A date: of a time of the day in another column, or with one."""
 
 
 @dataclass(frozen=True)
@@ -135,6 +140,7 @@ class UnusedColumn:
 
 Meaning = (
     TimeColumn
+    | DateColumn
     | CoordinateColumn
     | JointColumn
     | FrameColumn

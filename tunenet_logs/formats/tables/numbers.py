@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import isfinite
 
@@ -68,6 +68,44 @@ class Numbers:
         except ValueError:
             value = _from_words(self.plain(cell))
         return value if isfinite(value) else float("nan")
+
+
+class Thousands:
+    """Columns whose numbers may have thousands behind a point: `1.050` beside `985`.
+
+    A table that writes decimals writes more or fewer of them somewhere, or none below 1000 only.
+
+    Args:
+        columns: indices of those that are read.
+    """
+
+    def __init__(self, columns: Iterable[int]) -> None:
+        self._undecided = set(columns)
+        self._groups: dict[int, str] = {}
+        self._wholes: set[int] = set()
+
+    def look(self, cells: Sequence[str]) -> None:
+        """One more row."""
+        for at in tuple(self._undecided):
+            text = cells[at].strip()
+            if _ONE_GROUP.fullmatch(text):
+                self._groups.setdefault(at, text)
+            elif (digits := text.lstrip("+-")).isdecimal() and len(digits) < 4:
+                if digits.strip("0"):
+                    self._wholes.add(at)
+            elif any(map(str.isdecimal, text)):
+                self._undecided.discard(at)
+
+    def doubt(self, names: Sequence[str]) -> str:
+        """What may be read in two ways; "" where nothing is."""
+        at = min(self._undecided & self._groups.keys() & self._wholes, default=None)
+        if at is None:
+            return ""
+        one, two = re.split("[.,]", self._groups[at])
+        return (
+            f"column {names[at][:60]!r}: {self._groups[at]!r} beside whole numbers may be "
+            f"{one}.{two} or {one}{two}"
+        )
 
 
 def _pointed(cell: str) -> str:

@@ -9,7 +9,12 @@ from itertools import chain, islice
 
 from tunenet_logs.formats.tables.column_names import meaning_of
 from tunenet_logs.formats.tables.lines import cells_of
-from tunenet_logs.formats.tables.meaning import CoordinateColumn, FrameColumn, TimeColumn
+from tunenet_logs.formats.tables.meaning import (
+    CoordinateColumn,
+    FrameColumn,
+    JointColumn,
+    TimeColumn,
+)
 from tunenet_logs.formats.tables.numbers import Numbers
 
 _MOST_SHOWN = 8
@@ -63,15 +68,20 @@ def offer_by_name(names: Sequence[str]) -> str:
     """An example made of a table's own columns: the line to type."""
     meanings = [meaning_of(name[:_LONGEST_READ]) for name in names]
     is_place = [isinstance(one, CoordinateColumn) for one in meanings]
+    is_value = [isinstance(one, CoordinateColumn | JointColumn) for one in meanings]
     named = [at for at, name in enumerate(names) if name.strip()]
     clocks = [at for at in named if isinstance(meanings[at], TimeColumn | FrameColumn)]
-    clock = next(chain(clocks, (at for at in named if not is_place[at])), None)
+    clock = next(chain(clocks, (at for at in named if not is_value[at])), None)
     if clock is None:
         return _offer_of_rows(names, meanings)
     target = "frame" if isinstance(meanings[clock], FrameColumn) else "t"
     said = f"say which they are, for example --columns {target}={_quoted(names, clock)}"
     other = next((at for at in named if at != clock), None)
-    return said if any(is_place) or other is None else f"{said},z={_quoted(names, other)}"
+    if any(is_place) or other is None:
+        return said
+    meaning = meanings[other]
+    value = f"{meaning.quantity}_1" if isinstance(meaning, JointColumn) else "z"
+    return f"{said},{value}={_quoted(names, other)}"
 
 
 def _offer_of_rows(names: Sequence[str], meanings: Sequence[object]) -> str:
@@ -83,7 +93,9 @@ def _offer_of_rows(names: Sequence[str], meanings: Sequence[object]) -> str:
         if isinstance(one, CoordinateColumn)
     }
     said = ",".join(f"{'xyz'[axis]}={name}" for axis, name in sorted(axes.items()))
-    return f"{text}; where a row is a picture: --columns {said} --fps 30" if said else text
+    if not said:
+        return f"{text}; where rows have an even rate, say it: --fps 100"
+    return f"{text}; where a row is a picture: --columns {said} --fps 30"
 
 
 def short_list(names: Sequence[str]) -> str:

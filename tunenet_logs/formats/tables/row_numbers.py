@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from tunenet_logs.formats.tables.layout import TableLayout, table_layout_of
 from tunenet_logs.formats.tables.said import CLOCKS, said_reading
 
-_ROW = "row"
+ROW = "frame"
 """The column of their numbers, behind the others."""
 
 
@@ -30,7 +30,7 @@ def said_layout(
         return layout, False
     if counts_rows and set(CLOCKS).isdisjoint(places.values()):
         more = {**places, len(names): "frame"}
-        layout = table_layout_of([*names, _ROW], separator, said_reading(more))
+        layout = table_layout_of([*names, ROW], separator, said_reading(more))
     if layout is None:
         raise ValueError(
             "none of its columns is known as a time; say it as well: t=COLUMN, or frame=COLUMN; "

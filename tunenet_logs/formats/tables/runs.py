@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+
+from tunenet_logs.clock_jumps import fill_holes
 
 MOST_RUNS = 500
 """Of a table; each is a signal of its own."""
@@ -14,11 +16,33 @@ MOST_RUNS = 500
 _LONGEST = 40
 """Of a run's name."""
 
+_MOST_SHOWN = 4
+"""Of the names of things in a message."""
+
 _LEAST_ROWS = 5
 """Of a run that nothing but its times tells."""
 
+_ALTERNATING = 0.5
+"""Of the rows that are of another thing than the row before, where several are recorded at once."""
+
+_MOST_SHARED = 0.1
+"""Of rows that have the stamp of another and other values: some were sent twice."""
+
+_FEWEST_STAMPS = 0.2
+"""Of rows: of fewer stamps no motion can be told."""
+
+_ALIKE = 0.5
+"""Of what rows of one stamp differ by: a thing moves less than that from stamp to stamp."""
+
 _RESTART_FRACTION = 0.8
 """Of a run's length: by more than that the next one's times must jump back."""
+
+_ZONE_NS, _ZONE_PERIODS = 900 * 10**9, 10
+"""By whole ones of it local time is set, as at the end of summer time; and periods in which the
+first row after that comes."""
+
+_NEARBY = 128
+"""Rows among which those of one run may have overtaken each other."""
 
 Rows = NDArray[np.intp] | slice
 """Which rows."""
@@ -27,27 +51,39 @@ Rows = NDArray[np.intp] | slice
 class RunNames:
     """The runs of a table in order of appearance.
 
-    Attributes:
-        names: "run1" of one that goes by a number, or as the table calls it.
+    Args:
+        kinds: what each of the columns counts that tell them apart: "run", "ball", ...
     """
 
-    def __init__(self, kind: str) -> None:
-        self.names: list[str] = []
-        self._kind = kind
-        self._numbers: dict[str, int] = {}
-        self._by_name: dict[str, int] = {}
+    def __init__(self, kinds: Sequence[str]) -> None:
+        self._kinds = kinds
+        self._numbers: dict[tuple[str, ...], int] = {}
+        self._by_name: dict[tuple[str, ...], int] = {}
 
-    def number(self, cell: str) -> int:
-        """The index of a run in `names`."""
-        text = cell.strip()[:_LONGEST]
-        if (number := self._numbers.get(text)) is not None:
+    @property
+    def names(self) -> list[str]:
+        """Such as "run1" of a number, or as the table calls it; "run1.ball" of two columns."""
+        parts = list(self._by_name)
+        told = [at for at in range(len(self._kinds)) if len({each[at] for each in parts}) > 1]
+        return [".".join(each[at] for at in told) or ".".join(each) for each in parts]
+
+    @property
+    def note(self) -> str:
+        """That there are several things, of which a task takes one; "" of runs, or of one thing."""
+        names = self.names
+        if len(names) < 2 or set(self._kinds) <= {"run"}:
+            return ""
+        shown = ", ".join(names[:_MOST_SHOWN]) + (", ..." if len(names) > _MOST_SHOWN else "")
+        return f"rows are of {len(names)} things ({shown}): each is a signal; see --topic"
+
+    def number(self, cells: Sequence[str]) -> int:
+        """The index of a run in `names`, by the cells of its columns."""
+        texts = tuple(cell.strip()[:_LONGEST] for cell in cells)
+        if (number := self._numbers.get(texts)) is not None:
             return number
-        name = _name_of(text, self._kind)
-        number = self._by_name.setdefault(name, len(self.names))
-        if number == len(self.names):
-            self.names.append(name)
-        self._numbers[text] = number
-        return number
+        parts = tuple(map(_name_of, texts, self._kinds))
+        self._numbers[texts] = self._by_name.setdefault(parts, len(self._by_name))
+        return self._numbers[texts]
 
 
 def _name_of(text: str, kind: str) -> str:
@@ -57,10 +93,42 @@ def _name_of(text: str, kind: str) -> str:
     return re.sub(r"\W+", "_", text).strip("_").lower() or f"no_{kind}"
 
 
+def telling_column(
+    stamps: Sequence[Sequence[str]], columns: Mapping[int, Sequence[str]]
+) -> int | None:
+    """The column that tells apart the things of which several rows of one stamp are.
+
+    Args:
+        stamps: the time of each row, as it is written.
+        columns: the cells of those columns whose names say nothing.
+
+    Returns:
+        The index of one in which no row has stamp and cell of another; None where all stamps
+        differ, or there is none. Names go before numbers, and few things before many.
+    """
+    times = [tuple(cells) for cells in stamps]
+    if len(set(times)) == len(times):
+        return None
+    found: list[tuple[bool, int, int]] = []
+    for at, cells in columns.items():
+        things = len(set(cells))
+        is_told = 1 < things <= len(cells) // 3 and all(map(str.strip, cells))
+        if is_told and len(set(zip(times, cells, strict=True))) == len(times):
+            found.append((any(map(_is_number, cells)), things, at))
+    return min(found)[2] if found else None
+
+
+def _is_number(text: str) -> bool:
+    return re.fullmatch(r"[+-]?[\d.,]+", text.strip()) is not None
+
+
 def rows_of_runs(
     times_ns: NDArray[np.int64], runs: NDArray[np.int64], names: Sequence[str]
 ) -> list[tuple[str, Rows]]:
-    """The rows of each run with its name, "" where there is one alone.
+    """The rows of each run or thing with its name, "" where there is one alone.
+
+    A column that numbers them tells them where times begin again with another number, or where
+    numbers come and go: a thing whose number is another from some time on is one thing.
 
     Args:
         times_ns: of T rows [ns], shape (T,).
@@ -70,14 +138,16 @@ def rows_of_runs(
     Raises:
         ValueError: there are too many.
     """
+    changes = np.diff(runs) != 0
     backwards = np.flatnonzero(np.diff(times_ns) <= 0)
-    if not len(backwards):
-        return [("", slice(None))]
-    if len(runs) and np.any(np.diff(runs)[backwards] != 0):
+    comes_and_goes = np.count_nonzero(changes) > max(_ALTERNATING * len(runs), len(names))
+    if len(runs) and (comes_and_goes or np.any(changes[backwards])):
         numbers = np.unique(runs)
         if 2 * len(numbers) <= len(runs):  # else each row has a number of its own
             _check_count(len(numbers))
             return [(str(names[one]), np.flatnonzero(runs == one)) for one in numbers.tolist()]
+    if not len(backwards):
+        return [("", slice(None))]
     starts = _restarts(times_ns, backwards)
     if len(starts) == 1:
         return [("", slice(None))]
@@ -85,6 +155,52 @@ def rows_of_runs(
     ends = [*starts[1:], len(times_ns)]
     pairs = enumerate(zip(starts, ends, strict=True), 1)
     return [(f"run{number}", slice(start, end)) for number, (start, end) in pairs]
+
+
+def check_one_thing(times_ns: NDArray[np.int64], values: NDArray[np.float64]) -> None:
+    """Raise where several rows of one stamp are several things, or stamps are cut short.
+
+    Of things below each other the second row of each stamp is near the second row of the next; of
+    one thing, whose stamps are coarse, it is near the first of its own.
+
+    Args:
+        times_ns: of T rows [ns], in the order of the file, shape (T,).
+        values: shape (T, C).
+
+    Raises:
+        ValueError: what they are, and what to do.
+    """
+    order = np.argsort(times_ns, kind="stable")
+    times, rows = times_ns[order], values[order]
+    is_same = np.diff(times) == 0
+    if not np.any(is_same):
+        return
+    steps = _steps(rows)
+    shared = int(np.count_nonzero(is_same & (steps > 0)))
+    if shared <= _MOST_SHARED * len(times):
+        return
+    firsts = np.flatnonzero(np.concatenate([[True], ~is_same]))
+    rank = np.arange(len(times)) - np.repeat(firsts, np.diff(firsts, append=len(times)))
+    by_rank = np.argsort(rank, kind="stable")
+    alike = _steps(rows[by_rank])[np.diff(rank[by_rank]) == 0]
+    are_things = len(alike) > 0 and np.median(alike) < _ALIKE * np.median(steps[is_same])
+    if not are_things and len(firsts) > _FEWEST_STAMPS * len(times):
+        return
+    what = "the stamps have too few digits; "
+    if are_things:
+        what = (
+            "several things, or stamps of too few digits; say which column tells the things apart: "
+            "--columns object=NAME, or "
+        )
+    raise ValueError(
+        f"{shared} of {len(times)} rows have the stamp of another row and other values: {what}"
+        "write times with all their digits"
+    )
+
+
+def _steps(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The largest change from each row to the next, shape (T - 1,); of what is missing none."""
+    return np.nan_to_num(np.abs(np.diff(rows, axis=0))).max(axis=1, initial=0.0)
 
 
 def _restarts(times_ns: NDArray[np.int64], backwards: NDArray[np.intp]) -> list[int]:
@@ -100,6 +216,13 @@ def _restarts(times_ns: NDArray[np.int64], backwards: NDArray[np.intp]) -> list[
             continue
         last, first = int(times_ns[at - 1]), int(times_ns[begin])
         back = last - int(times_ns[at])
+        period_ns = (last - first) / (at - 1 - begin)
+        is_local = back > _ZONE_NS / 2 and -back % _ZONE_NS <= _ZONE_PERIODS * period_ns
+        if times_ns[at] < first and is_local:
+            continue  # one run, whose clock was set
+        around = times_ns[begin : begin + max(2 * (at - begin), _NEARBY)]
+        if fill_holes(around, at - begin):
+            continue  # one run, whose rows overtook each other
         if back > _RESTART_FRACTION * (last - first) > 0 and ahead[-1] < last:
             starts.append(at)
     return starts

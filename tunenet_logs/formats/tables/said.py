@@ -87,7 +87,7 @@ def said_reading(places: Mapping[int, str]) -> Reading:
     Returns:
         A reading, which raises ValueError where a column's unit is none of what it is said to be.
     """
-    targets = set(places.values())
+    targets = set(places.values()) - {"object"}
     has_clock = not targets.isdisjoint(CLOCKS)
     has_values = "times" in targets or not targets.issubset(CLOCKS)
 
@@ -105,8 +105,8 @@ def said_reading(places: Mapping[int, str]) -> Reading:
 
 def _meaning_as(target: str, name: str) -> Meaning:
     """What a column means that is said to be so; its name may tell the unit."""
-    if target == "frame":
-        return FrameColumn()
+    if target in ("frame", "object"):
+        return FrameColumn() if target == "frame" else RunColumn("object")
     unit = unit_behind(name)
     if target in _AXES:
         found = meaning_of(f"{target} ({unit})" if unit else target)

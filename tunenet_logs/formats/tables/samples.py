@@ -14,7 +14,8 @@ from tunenet_logs.formats.read_options import ReadOptions
 from tunenet_logs.formats.tables.failures import NUMBER_REMEDY, unreadable
 from tunenet_logs.formats.tables.group import Group
 from tunenet_logs.formats.tables.numbers import Numbers
-from tunenet_logs.formats.tables.runs import rows_of_runs
+from tunenet_logs.formats.tables.runs import check_one_thing, rows_of_runs
+from tunenet_logs.left_out import INCOMPLETE, added, in_proportion
 from tunenet_logs.sample_order import order_samples
 
 
@@ -99,10 +100,21 @@ class SignalSamples:
         for run, rows in rows_of_runs(arrivals, runs, run_names):
             name = self.group.name_of_run(run) if run else self.group.name
             own, of_run = arrivals[rows], stamps[rows]
-            keep, ordered, repairs = order_samples(of_run if len(own) > 1 else own, own)
-            kept = values[rows][keep]
+            check_one_thing(own, values[rows])
+            keep, ordered, repairs, left_out = order_samples(
+                of_run if len(own) > 1 else own, own, (values[rows],)
+            )
+            incomplete = in_proportion(len(own), self._incomplete, len(arrivals))
             signals.append(
-                Signal(name, ordered, kept, self.columns, unit, counts_frames=counts_frames)
+                Signal(
+                    name,
+                    ordered,
+                    values[rows][keep],
+                    self.columns,
+                    unit,
+                    counts_frames=counts_frames,
+                    left_out=added(left_out, {INCOMPLETE: incomplete}),
+                )
             )
             channels.append(Channel(name, self._type(unit), "csv", own))
             notes += [f"{name}: {repair}" for repair in repairs]

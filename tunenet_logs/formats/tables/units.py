@@ -97,6 +97,18 @@ def with_lengths(header: Sequence[str], unit: str, reading: Reading = by_name) -
     ]
 
 
+def with_degrees(header: Sequence[str], reading: Reading = by_name) -> list[str]:
+    """The names of a header, in degrees where they are angles of joints and say no unit."""
+    return [
+        f"{name} (deg{'/s' if meaning.quantity == 'velocity' else ''})"
+        if isinstance(meaning := reading(at, rest), JointColumn)
+        and meaning.quantity in ("position", "velocity")
+        and _without_unit(rest) is None
+        else name
+        for at, (name, (_, rest)) in enumerate(zip(header, runs_of(header), strict=True))
+    ]
+
+
 def unit_behind(name: str) -> str:
     """The unit at the end of a name, in brackets or as a last word; "" where there is none."""
     found = re.search(r"[(\[]([^()\[\]]{1,40})[)\]]\s*$", name)

@@ -16,8 +16,7 @@ import rerun.blueprint as rrb
 from analysis.evaluation.drop.curves import PANELS, ErrorCurve, error_curves
 from analysis.evaluation.drop.results import DropResults
 from analysis.evaluation.drop.tables import drop_markdown
-from analysis.result_files import replacing
-from analysis.review.drawing import entity_of
+from analysis.review.drawing import application_id, entity_of
 
 ROLLOUTS = "rollouts"
 """Its timeline: what a method has been allowed so far."""
@@ -37,7 +36,7 @@ def write_convergence(results: DropResults, path: Path) -> None:
         outcome.method.encode() + outcome.errors.tobytes() for outcome in results.outcomes
     )
     identity = hashlib.sha256(content).hexdigest()[:16]
-    stream = rr.RecordingStream("tunenet eval drop", recording_id=identity)
+    stream = rr.RecordingStream(application_id("eval drop"), recording_id=identity)
     memory = stream.memory_recording()
     stream.send_recording_name("restitution by rollouts")
     views: list[rrb.View] = []
@@ -51,8 +50,7 @@ def write_convergence(results: DropResults, path: Path) -> None:
     stream.log("results", words, static=True)
     stream.send_blueprint(_blueprint(views))
     stream.flush()
-    with replacing(path) as partial:
-        partial.write_bytes(memory.drain_as_bytes())
+    path.write_bytes(memory.drain_as_bytes())
     stream.disconnect()
 
 

@@ -86,7 +86,7 @@ def test_an_interrupt_ends_it_at_once_and_leaves_nothing(tmp_path: Path):
         (("drop", "--rrd", "a"), "a: --rrd writes .rrd"),
         (("intervals", "--methods", "mean"), "--methods is for drop, not intervals"),
         (("drop", "--json", "/nowhere/a.json"), "/nowhere: no such folder"),
-        (("drop", "--png", "."), "is a folder; give --png a file"),
+        (("drop", "--png", "."), "is a folder; give --png another file"),
         (("drop", "--json", "a", "--csv", "a"), "both --json and --csv name it"),
         (("drop", "--seeds", "0"), "not a whole number"),
         (("drop", "--rollouts", "0"), "not a whole number"),

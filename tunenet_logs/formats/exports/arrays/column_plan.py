@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from tunenet_logs.episode import UNSTATED
@@ -22,6 +22,7 @@ from tunenet_logs.formats.tables.layout import (
     MOST_COLUMNS,
     TableLayout,
     clock_of,
+    run_columns,
     table_layout_of,
 )
 from tunenet_logs.formats.tables.meaning import LENGTHS, TimeColumn, UnusedColumn, lowered, words_of
@@ -30,14 +31,6 @@ from tunenet_logs.terminal import listed
 
 _FRAMES = {("frame",), ("frame", "index"), ("frame", "number"), ("frame", "no"), ("frame", "idx")}
 """What a column of frame numbers is called."""
-
-_RUNS = frozenset(
-    (
-        *("episode_index", "episode", "run", "trial", "drop", "take", "body", "marker"),
-        *("object", "object_id", "track_id", "track", "particle", "name", "label", "id", "ball_id"),
-    )
-)
-"""What the column is called that says of which run or thing a row is."""
 
 _OF_A_THING = {"pos", "position", "positions", "vel", "velocity", "velocities", "speed"}
 """What people call quantities of a ball: an array of two or three columns is no arm's."""
@@ -76,7 +69,7 @@ class ColumnPlan:
         clock: which say when; None where rows or frames are counted.
         frames: the index of the column that counts frames; None where rows count.
         impacts: which column holds the times of impacts.
-        run: the index of the column that says of which run or thing a row is.
+        runs: the columns that say of which run and of which thing a row is, and what each counts.
         unused: the other columns, with the reason.
     """
 
@@ -85,7 +78,7 @@ class ColumnPlan:
     clock: Clock | None = None
     frames: int | None = None
     impacts: Clock | None = None
-    run: int | None = None
+    runs: tuple[tuple[int, str], ...] = ()
     unused: dict[str, str] = field(default_factory=dict)
 
     @property
@@ -94,7 +87,8 @@ class ColumnPlan:
         clocks = [self.clock, self.impacts, *(signal.clock for signal in self.signals)]
         wanted = {at for clock in clocks if clock is not None for at in clock.indices}
         wanted.update(at for signal in self.signals for at, _, _ in signal.used)
-        wanted.update(at for at in (self.frames, self.run) if at is not None)
+        wanted.update(at for at, _ in self.runs)
+        wanted.update(at for at in (self.frames,) if at is not None)
         return tuple(sorted(wanted))
 
 
@@ -144,14 +138,18 @@ def plan_columns(
             f"{path}: has {len(names)} columns, over the limit of {MOST_COLUMNS}; leave out those "
             "that are not needed"
         )
+    said = {target: name for target, name in options.columns.items() if target != "object"}
     plan = (
-        _said_plan(path, names, meant or names, options)
-        if options.columns
+        _said_plan(path, names, meant or names, replace(options, columns=said))
+        if said
         else _found_plan(path, names, _with_franka_times(meant or names), options)
     )
+    if "object" in options.columns:
+        thing = said_index(path, options.columns["object"], names)
+        plan = replace(plan, runs=((thing, "object"),))
     if not plan.signals and plan.impacts is None:
-        said = {**(left_out or {}), **plan.unused}
-        reasons = [f"{name[:60]!r}: {why}" for name, why in said.items()]
+        others = {**(left_out or {}), **plan.unused}
+        reasons = [f"{name[:60]!r}: {why}" for name, why in others.items()]
         why = "; ".join(reasons[:4]) or f"columns: {listed([name[:40] for name in names])}"
         raise LogError(
             f"{path}: no column is a place or a joint's ({why}); name them: --columns t=NAME,z=NAME"
@@ -190,7 +188,7 @@ def _said_plan(
         found = clock_of(meant)
         clock = None if found is None else Clock(names[found.indices[0]], *_rest(found))
     return ColumnPlan(
-        tuple(names), tuple(signals), clock, frames, clocks.get("times"), _run(names), unused
+        tuple(names), tuple(signals), clock, frames, clocks.get("times"), _runs(names), unused
     )
 
 
@@ -217,19 +215,20 @@ def _found_plan(
     frames = next((at for at, name in enumerate(names) if _words(name) in _FRAMES), None)
     joints = _joints(path, choice, options, unused)
     unused |= _unused(names, others, layout)
-    if joints and clock is None and not options.rate_hz:
-        for name in [one.stem for one in choice.used]:
-            unused[name] = "nothing says when; name the column of times: --columns t=NAME"
-        joints = []
     tracks = _tracks(layout, {signal.name for signal in joints}, meant, unused)
     signals = (*joints, *tracks)
+    if clock is None and not options.rate_hz:  # a joint's rows are no frames of a film
+        for signal in signals:
+            if not signal.is_track:
+                unused[signal.name] = "nothing says when; say --columns t=NAME or --fps RATE"
+        signals = tuple(signal for signal in signals if signal.is_track)
     uses_frames = clock is None and frames is not None
     return ColumnPlan(
         tuple(names),
         signals,
         clock,
         frames if uses_frames else None,
-        run=_run(names),
+        runs=_runs(names),
         unused=unused,
     )
 
@@ -238,8 +237,8 @@ def _words(name: str) -> tuple[str, ...]:
     return lowered(words_of(name, camel=False))
 
 
-def _run(names: Sequence[str]) -> int | None:
-    return next((at for at, name in enumerate(names) if "_".join(_words(name)) in _RUNS), None)
+def _runs(names: Sequence[str]) -> tuple[tuple[int, str], ...]:
+    return run_columns(dict(enumerate(map(meaning_of, names))))
 
 
 def _unused(
@@ -249,7 +248,7 @@ def _unused(
     reasons = {} if layout is None else layout.unused
     alike: dict[tuple[str, str], list[str]] = {}
     for name, other in zip(names, others, strict=True):
-        if other in reasons and other and "_".join(_words(name)) not in _RUNS:
+        if other in reasons and other:
             key = (re.sub(r"(?<!\d)\d++(?=\W*$)", "#", name), reasons[other])
             alike.setdefault(key, []).append(name)
     return {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from array import array
 from collections.abc import Callable, Iterator, Mapping
 from itertools import chain, islice
@@ -22,6 +23,9 @@ from tunenet_logs.formats.read_options import ReadOptions
 from tunenet_logs.formats.tables.layout import MOST_COLUMNS
 
 _SUFFIXES = (".json", ".jsonl", ".ndjson")
+
+_JSON = re.compile(r'\s*(?:\{\s*"|\[\s*[\[{])')
+"""How it begins under another name: no other text does."""
 
 _MOST_BYTES = 256 * 1024**2
 """Of a file: its values are read one by one, in Python."""
@@ -44,8 +48,10 @@ _Path = tuple[str | int, ...]
 
 def is_json_lines(start: Start) -> bool:
     """Whether a file is one of JSON values."""
-    if start.suffix not in _SUFFIXES or not start.lines:
+    if not start.lines:
         return False
+    if start.suffix not in _SUFFIXES:
+        return _JSON.match("\n".join(start.lines[:3])) is not None
     first = next((line.strip() for line in start.lines if line.strip()), "")
     return first[:1] in ("{", "[")
 
@@ -82,6 +88,8 @@ def _until_damage(path: Path, values: Iterator[Any], losses: list[str]) -> Itera
 
 def _read_document(path: Path, document: dict[str, Any], options: ReadOptions) -> Episode:
     """One object: a list of records in it, or a list for each column."""
+    if {"task", "verdict", "provenance"} <= document.keys():
+        raise LogError(f"{path}: is a tuning that tunenet-tune wrote", "name the log it is of")
     records = max(
         (value for value in document.values() if _is_records(value)), key=len, default=None
     )
@@ -177,7 +185,7 @@ def _read_records(
     plan = plan_columns(path, names, options, meant)
     clocks = [plan.clock, plan.impacts, *(signal.clock for signal in plan.signals)]
     exact = {at for clock in clocks if clock is not None for at in clock.indices}
-    exact.update(at for at in (plan.run,) if at is not None)
+    exact.update(at for at, _ in plan.runs)
     texts: dict[int, list[Any]] = {at: [] for at in exact}
     numbers = {at: array("d") for at in plan.needed if at not in exact}
     adders: list[tuple[_Path, Callable[[Any], None]]] = [

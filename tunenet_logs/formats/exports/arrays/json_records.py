@@ -8,7 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, TextIO
 
-from tunenet_logs.regular_file import open_regular, open_regular_text
+from tunenet_logs.formats.tables.lines import text_encoding
+from tunenet_logs.regular_file import open_regular_text
 
 _CHUNK = 262_144
 """Characters read at a time."""
@@ -36,7 +37,7 @@ def json_values(path: Path) -> Iterator[Any]:
         DamagedJsonError: it is no JSON from some place on, or a value is too large.
         OSError: it cannot be read.
     """
-    with open_regular_text(path, _encoding(path), errors="replace") as file:
+    with open_regular_text(path, text_encoding(path), errors="replace") as file:
         window = _Window(file)
         is_array = window.next_mark(" \t\r\n\ufeff") == "["
         if is_array:
@@ -118,11 +119,6 @@ class _Window:
         is_json = isinstance(error, json.JSONDecodeError)
         what = error.msg.lower() if is_json else "a number of too many digits"
         return f"value {self._count} is no JSON ({what})"
-
-
-def _encoding(path: Path) -> str:
-    with open_regular(path) as file:
-        return "utf-16" if file.read(2) in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
 
 
 def _no_number(_name: str) -> float:

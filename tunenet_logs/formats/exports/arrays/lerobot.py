@@ -163,7 +163,11 @@ def lerobot_episode(
         if one.name not in _COLUMNS and one not in _features(columns)
     }
     plan = ColumnPlan(
-        tuple(names), tuple(signals), Clock("timestamp", (0,), 0), run=1, unused=unused
+        tuple(names),
+        tuple(signals),
+        Clock("timestamp", (0,), 0),
+        runs=((1, "episode"),),
+        unused=unused,
     )
     notes = [known.warning] if known.warning else []
     notes.append("the data set names no units of its states, which may be degrees or per cent")

@@ -12,11 +12,14 @@ from numpy.typing import NDArray
 
 from tunenet_logs.episode import Episode, Signal
 from tunenet_logs.errors import EXPORT_AGAIN, LogError
-from tunenet_logs.formats.exports.arrays.column_plan import ColumnPlan, PlannedSignal
+from tunenet_logs.formats.exports.arrays.column_plan import JOINT_UNITS, ColumnPlan, PlannedSignal
 from tunenet_logs.formats.exports.arrays.column_times import column_stamps
 from tunenet_logs.formats.exports.build import export_episode, frame_stamps, position_signal
 from tunenet_logs.formats.read_options import ReadOptions
+from tunenet_logs.formats.tables.group import name_of_run
+from tunenet_logs.formats.tables.runs import RunNames, check_one_thing, rows_of_runs
 from tunenet_logs.formats.tables.times import Clock
+from tunenet_logs.left_out import UNREADABLE, added
 from tunenet_logs.sample_order import sorted_stamps
 
 MOST_ROWS = 2_000_000
@@ -27,15 +30,6 @@ _MOST_PLACES = 500_000
 
 _MOST_VALUES = 16_000_000
 """Of all its signals."""
-
-_MOST_RUNS = 500
-"""Things or runs in one file."""
-
-_FEWEST_ROWS = 3
-"""Of each, on average: a number that is another in every row says not what a row is of."""
-
-_SLOW_S = 0.5
-"""From row to row; what is sampled more slowly was timed in another unit than seconds, perhaps."""
 
 Arrays = Mapping[int, NDArray[Any]]
 """Columns by their index, shape (T,) each."""
@@ -94,15 +88,14 @@ def columns_episode(
     if plan.impacts is not None:
         signals.append(_impacts(plan.impacts, arrays))
     if plan.signals:
-        reading = _Reading(plan, arrays, options, rate_hz)
-        notes += reading.notes
-        runs, said = _runs(plan, arrays)
-        notes += said
-        for prefix, rows in runs:
+        reading = _Reading(path, plan, arrays, options, rate_hz)
+        for run, rows in reading.runs():
             for planned in plan.signals:
-                signal, repairs = reading.signal(f"{prefix}{planned.name}", planned, rows)
+                name = name_of_run(planned.name, run, is_joints=_is_joints(planned.name))
+                signal, repairs = reading.signal(name, planned, rows)
                 signals.append(signal)
                 notes += repairs
+        notes += reading.notes
     signals, moved = _from_zero([signal for signal in signals if len(signal.stamps_ns)])
     if not signals:
         named = ", ".join(signal.name for signal in plan.signals) or "impacts"
@@ -131,8 +124,15 @@ class _Reading:
     """The rows of a file, with their times."""
 
     def __init__(
-        self, plan: ColumnPlan, arrays: Arrays, options: ReadOptions, rate_hz: float | None
+        self,
+        path: Path,
+        plan: ColumnPlan,
+        arrays: Arrays,
+        options: ReadOptions,
+        rate_hz: float | None,
     ) -> None:
+        self._path = path
+        self._plan = plan
         self._arrays = arrays
         self._options = options
         self.notes: list[str] = []
@@ -145,7 +145,6 @@ class _Reading:
             lost = int(np.count_nonzero(~times.known))
             if lost:
                 self.notes.append(f"{lost} rows without a time were left out")
-            self._doubt(plan.clock, times)
             return times
         count = len(next(iter(self._arrays.values())))
         numbers = np.arange(count, dtype=np.float64)
@@ -162,18 +161,31 @@ class _Reading:
     def _of(self, clock: Clock) -> _Times:
         if clock not in self._clocks:
             columns = [self._arrays[at] for at in clock.indices]
-            self._clocks[clock] = _Times(*column_stamps(clock, columns))
+            try:
+                stamps, known, doubt = column_stamps(clock, columns)
+            except ValueError as error:
+                raise LogError(f"{self._path}: {error}") from error
+            self.notes += [doubt] if doubt else []
+            self._clocks[clock] = _Times(stamps, known)
         return self._clocks[clock]
 
-    def _doubt(self, clock: Clock, times: _Times) -> None:
-        steps = np.diff(times.stamps_ns[times.known])
-        steps = steps[steps > 0]
-        is_number = self._arrays[clock.indices[0]].dtype.kind in "iuf"
-        if clock.power is None and is_number and len(steps) and np.median(steps) >= _SLOW_S * 1e9:
-            self.notes.append(
-                f"{clock.name!r} names no unit and was taken as seconds, "
-                f"{np.median(steps) * 1e-9:g} from row to row; if it is not, name it t_ms or t_us"
-            )
+    def runs(self) -> list[tuple[str, NDArray[np.intp]]]:
+        """The rows of each run or thing with its name; those without a time are of none.
+
+        Raises:
+            LogError: there are too many.
+        """
+        rows = np.flatnonzero(self._times.known)
+        columns = [self._arrays[at].tolist() for at, _ in self._plan.runs]
+        found = RunNames([kind for _, kind in self._plan.runs])
+        cells = [[_label(column[row]) for column in columns] for row in rows.tolist() if columns]
+        numbers = np.array([found.number(texts) for texts in cells], np.int64)
+        try:
+            parts = rows_of_runs(self._times.stamps_ns[rows], numbers, found.names)
+        except ValueError as error:
+            raise LogError(f"{self._path}: {error}") from error
+        self.notes += [found.note] if len(parts) > 1 and found.note else []
+        return [(name, rows[of_run]) for name, of_run in parts]
 
     def signal(
         self, name: str, planned: PlannedSignal, rows: NDArray[np.intp]
@@ -185,14 +197,23 @@ class _Reading:
         for at, place, scale in planned.used:
             values[:, place] = _floats(self._arrays[at])[rows] * scale
         values[~np.isfinite(values)] = np.nan
+        untimed = {UNREADABLE: int(np.count_nonzero(~times.known))}
         values, stamps = values[times.known], times.stamps_ns[times.known]
+        some = np.isfinite(values).any(axis=1)
+        try:
+            check_one_thing(stamps[some], values[some])
+        except ValueError as error:
+            raise LogError(f"{self._path}: {error}") from error
         if planned.is_track:
-            return position_signal(
+            signal, notes = position_signal(
                 name, stamps, values, planned.unit, self._options, counts_frames=times.counts_frames
             )
+            return replace(signal, left_out=added(signal.left_out, untimed)), notes
         some = np.isfinite(values).any(axis=1)
-        keep, ordered, notes = sorted_stamps(stamps[some])
-        signal = Signal(name, ordered, values[some][keep], planned.columns, planned.unit)
+        keep, ordered, notes, left_out = sorted_stamps(stamps[some], (values[some],))
+        columns, unit = planned.columns, planned.unit
+        left_out = added(left_out, untimed)
+        signal = Signal(name, ordered, values[some][keep], columns, unit, left_out=left_out)
         return signal, [f"{name}: {note}" for note in notes]
 
 
@@ -209,37 +230,21 @@ def _floats(values: NDArray[Any]) -> NDArray[np.float64]:
     return found
 
 
-def _runs(plan: ColumnPlan, arrays: Arrays) -> tuple[list[tuple[str, NDArray[np.intp]]], list[str]]:
-    """The rows of each run or thing with what its signals' names begin with; and what is said."""
-    count = len(next(iter(arrays.values())))
-    every = [("", np.arange(count))]
-    if plan.run is None:
-        return every, []
-    labels = np.array([_label(value) for value in arrays[plan.run].tolist()], dtype=object)
-    places: dict[str, list[int]] = {}
-    for row, label in enumerate(labels.tolist()):
-        places.setdefault(label, []).append(row)
-    if len(places) == 1 or len(places) > count // _FEWEST_ROWS:
-        return every, []
-    stem = plan.names[plan.run].removesuffix("_index")
-    runs = [
-        (f"{stem}_{label}." if label.isdecimal() else f"{label}.", np.array(rows, np.intp))
-        for label, rows in list(places.items())[:_MOST_RUNS]
-    ]
-    more = len(places) - len(runs)
-    return runs, [f"{more} more of {len(places)} were left out; split the file"] if more else []
+def _is_joints(name: str) -> bool:
+    return name.rpartition(".")[2] in JOINT_UNITS
 
 
 def _label(value: object) -> str:
     if isinstance(value, float) and value.is_integer():
         value = int(value)
-    return str(value)[:60]
+    return str(value)
 
 
 def _impacts(clock: Clock, arrays: Arrays) -> Signal:
     """The times of impacts."""
-    stamps, known = column_stamps(clock, [arrays[at] for at in clock.indices])
-    _, ordered, _ = sorted_stamps(stamps[known])
+    columns = [arrays[at] for at in clock.indices]
+    stamps, known, _ = column_stamps(clock, columns, is_sampled=False)
+    ordered = sorted_stamps(stamps[known]).stamps_ns
     return Signal("impacts", ordered, np.ones((len(ordered), 1)), ("impact",), "1")
 
 

@@ -4,11 +4,15 @@ Sizes in a Parquet file are claims, and its reader believes them: here the syste
 too much. Run as a script, with the file's path. It writes a line of JSON that describes the
 columns, reads a line of JSON that names some of them, and writes those: for each a line of JSON and
 the bytes of its array.
+
+With a bound of cells behind the path, it writes a table of texts and numbers, a line of JSON with
+its columns for some rows at a time, and an empty object at the end.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import resource
 import sys
 from typing import Any
@@ -29,18 +33,25 @@ MOST_COLUMNS = 5000
 _MOST_WIDTH = 200
 _BATCH_ROWS = 16_384
 _MOST_TEXT = 60
+_LINE_CHARACTERS = 4_000_000
+_ROWS_AT_ONCE = 200
+_OF_ROWS = ("string", "large_string", "int64", "double")
+"""Of a table that is read by rows."""
 
 
 class TooLargeError(ValueError):
     """A file that claims, or holds, more than is read."""
 
 
-def main(path: str) -> None:
+def main(path: str, most_cells: int | None = None) -> None:
     """Serves one file; see the module."""
     import pyarrow.parquet as pq
 
     _limit()
     with pq.ParquetFile(path, pre_buffer=False, thrift_string_size_limit=2**24) as file:
+        if most_cells is not None:
+            _send_rows(file, most_cells)
+            return
         columns = _described(file)
         _say({"rows": file.metadata.num_rows, "columns": columns})
         wanted = json.loads(sys.stdin.readline() or "[]")
@@ -156,6 +167,37 @@ def _send(name: str, file: Any, width: int) -> None:
     sys.stdout.buffer.flush()
 
 
+def _send_rows(file: Any, most_cells: int) -> None:
+    """All rows, as long as they are as many and as large as in a table of texts and numbers."""
+    names = file.schema_arrow.names
+    if len(set(names)) < len(names):
+        raise TooLargeError("two of its columns have one name")
+    for field in file.schema_arrow:
+        if str(field.type) not in _OF_ROWS:
+            raise TooLargeError(f"column {field.name[:60]!r} holds neither text nor numbers")
+    cells = file.metadata.num_rows * len(names)
+    if cells > most_cells:
+        raise TooLargeError(f"claims {cells} cells, over the limit of {most_cells}")
+    cells = 0
+    for batch in file.iter_batches(_ROWS_AT_ONCE, use_threads=False):
+        cells += batch.num_rows * len(names)
+        if cells > most_cells:
+            raise TooLargeError(f"has over {most_cells} cells")
+        line = json.dumps({"rows": dict(zip(names, map(_cells, batch.columns), strict=True))})
+        if len(line) > _LINE_CHARACTERS:
+            raise TooLargeError("holds texts that are longer than any in such a table")
+        sys.stdout.buffer.write(line.encode() + b"\n")
+    _say({})
+
+
+def _cells(column: Any) -> list[Any]:
+    """Values as JSON has them: null for none, and for a number that is not finite."""
+    values = column.to_pylist()
+    if str(column.type) != "double":
+        return values
+    return [None if one is None or not math.isfinite(one) else one for one in values]
+
+
 def _array(column: Any) -> Any:
     """Values as NumPy has them: NaN for none, lists as rows."""
     import numpy as np
@@ -183,7 +225,7 @@ def _array(column: Any) -> Any:
 
 if __name__ == "__main__":
     try:
-        main(sys.argv[1])
+        main(sys.argv[1], *map(int, sys.argv[2:]))
     except MemoryError:
         _say({"error": "it claims more memory than any log needs"})
     except TooLargeError as error:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -21,7 +21,7 @@ from tunenet_logs.errors import LogError
 _CHILD = Path(__file__).with_name("parquet_child.py")
 
 _MOST_LINE = 4 * 1024**2
-"""Of what describes a file."""
+"""Of what describes a file, or some rows."""
 
 _MOST_BYTES = 512 * 1024**2
 """Of one column; texts have 240 bytes each."""
@@ -56,10 +56,34 @@ def parquet_columns(path: Path, choose: Choose) -> dict[str, NDArray[Any]]:
         LogError: `pyarrow` is not installed, or the file is damaged or too large; or `choose`
             says so.
     """
+    with _child(path) as (wishes, answers):
+        return _served(path, wishes, answers, choose)
+
+
+def parquet_rows(path: Path, most_cells: int) -> Iterator[list[dict[str, Any]]]:
+    """The rows of a table whose columns are texts, whole numbers and numbers, some at a time.
+
+    Raises:
+        LogError: `pyarrow` is not installed, or the file is damaged, too large or another table.
+    """
+    with _child(path, str(most_cells)) as (_, answers):
+        while said := _answer(path, answers).get("rows"):
+            yield [
+                dict(zip(said, cells, strict=True)) for cells in zip(*said.values(), strict=True)
+            ]
+
+
+@contextmanager
+def _child(path: Path, *words: str) -> Iterator[tuple[IO[bytes], IO[bytes]]]:
+    """What the process that reads a file hears, and what it says.
+
+    Raises:
+        LogError: `pyarrow` is not installed.
+    """
     if find_spec("pyarrow") is None:
         raise LogError(f"{path}: Parquet needs pyarrow: pip install 'tunenet-logs[tables]'")
     child = subprocess.Popen(  # noqa: S603 (our own script, without a shell)
-        [sys.executable, "-P", str(_CHILD), str(path.absolute())],
+        [sys.executable, "-P", str(_CHILD), str(path.absolute()), *words],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
@@ -69,7 +93,7 @@ def parquet_columns(path: Path, choose: Choose) -> dict[str, NDArray[Any]]:
     try:
         assert child.stdin is not None
         assert child.stdout is not None
-        return _served(path, child.stdin, child.stdout, choose)
+        yield child.stdin, child.stdout
     finally:
         timer.cancel()
         child.kill()

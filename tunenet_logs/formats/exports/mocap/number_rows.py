@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tunenet_logs.errors import LogError
-from tunenet_logs.formats.tables.lines import MOST_LINE, cells_of
-from tunenet_logs.regular_file import open_regular, open_regular_text
+from tunenet_logs.formats.tables.lines import MOST_LINE, cells_of, text_encoding
+from tunenet_logs.regular_file import open_regular_text
 
 MOST_COLUMNS = 5000
 """Of a file of tracks: more than a thousand markers."""
@@ -25,8 +25,6 @@ _MOST_BYTES = 1024**3
 
 _BLOCK_CHARACTERS = 4 * 1024**2
 """Taken apart at once."""
-
-_UTF16 = (b"\xff\xfe", b"\xfe\xff")
 
 _WORDS = re.compile(r'^[ \t,;"]*[A-Za-z]', re.MULTILINE)
 """Where rows of numbers end and the next section begins."""
@@ -106,9 +104,7 @@ def open_lines(path: Path) -> Iterator[LineReader]:
             f"{path}: is an export of {size} bytes, over the limit of 1 GiB; export fewer markers "
             "or a part of the take"
         )
-    with open_regular(path) as file:
-        encoding = "utf-16" if file.read(2) in _UTF16 else "utf-8-sig"
-    with open_regular_text(path, encoding, errors="replace") as file:
+    with open_regular_text(path, text_encoding(path), errors="replace") as file:
         yield LineReader(file)
 
 

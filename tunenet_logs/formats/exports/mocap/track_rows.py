@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,7 @@ from tunenet_logs.formats.exports.mocap.number_rows import (
     unended,
 )
 from tunenet_logs.formats.read_options import ReadOptions
+from tunenet_logs.left_out import UNREADABLE, added
 from tunenet_logs.sample_order import sorted_stamps
 
 MOST_UNLABELED = 100
@@ -139,7 +141,8 @@ class TrackRows:
                 options,
                 counts_frames=counts_frames,
             )
-            signals.append(signal)
+            untimed = {UNREADABLE: int(np.count_nonzero(~inside))}
+            signals.append(replace(signal, left_out=added(signal.left_out, untimed)))
         unused.update(layout.unused)
         return export_episode(
             self.path,
@@ -177,7 +180,7 @@ class TrackRows:
             raise LogError(
                 f"{self.path}: times or frames reach beyond all bounds", EXPORT_AGAIN
             ) from error
-        _, _, notes = sorted_stamps(stamps[keep])
+        notes = sorted_stamps(stamps[keep]).notes
         first_ns = int(stamps[keep].min())
         if first_ns < 0:
             stamps -= first_ns

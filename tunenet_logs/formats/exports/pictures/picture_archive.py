@@ -17,6 +17,7 @@ from tunenet_logs.formats.exports.pictures.picture_bytes import MOST_BYTES
 from tunenet_logs.formats.exports.pictures.picture_film import FEWEST, PictureStore, Read, film_of
 from tunenet_logs.formats.exports.pictures.picture_series import SUFFIXES
 from tunenet_logs.formats.exports.start import Start
+from tunenet_logs.formats.foreign_kinds import UNPACK, foreign_kind
 from tunenet_logs.formats.read_options import ReadOptions
 from tunenet_logs.regular_file import open_regular
 
@@ -34,6 +35,9 @@ _FREE_BYTES, _MOST_RATIO = 256_000_000, 100
 
 _FREE_PIXELS, _MOST_PIXELS_A_BYTE = 100_000_000, 50
 """Of all its pictures, whatever its size is, and for each of its bytes: a camera's have 20."""
+
+_KIND_BYTES = 65_536
+"""In which the names stand that tell what else a zip is."""
 
 _ENCRYPTED = 0x1
 """The bit of a zip's flags."""
@@ -93,6 +97,10 @@ def _pictures(path: Path, size: int) -> list[str]:
         raise LogError(f"{path}: is a damaged zip ({error}); copy it again") from error
     found = [one for one in entries if _is_picture(one.filename)]
     if len(found) < FEWEST:
+        with open_regular(path) as file:
+            what, remedy = foreign_kind(file.read(_KIND_BYTES), path) or ("", "")
+        if remedy != UNPACK:
+            raise LogError(f"{path}: is {what}, which is not read as it is", remedy)
         shown = ", ".join(one.filename[:60] for one in entries[:2]) or "nothing"
         raise LogError(
             f"{path}: is a zip without pictures (it holds {shown}); unpack it, and name the log or "

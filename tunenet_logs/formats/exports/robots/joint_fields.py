@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
+from tunenet_logs.formats.tables.column_names import (
+    COMMANDED,
+    JOINT_QUANTITIES,
+    JOINT_UNITS,
+    MEASURED,
+    MODELLED,
+)
 from tunenet_logs.formats.tables.meaning import Words, lowered, words_of
 
 
@@ -21,23 +27,18 @@ class Origin(IntEnum):
 
 
 _ORIGINS = {
-    **dict.fromkeys(
-        ("actual", "act", "measured", "meas", "msr", "feedback", "fb"), Origin.MEASURED
-    ),
-    **dict.fromkeys(("sensor", "sensed", "encoder"), Origin.MEASURED),
-    **dict.fromkeys(("target", "tgt", "desired", "des", "command", "commanded"), Origin.COMMANDED),
-    **dict.fromkeys(("cmd", "ref", "reference", "setpoint", "goal", "planned"), Origin.COMMANDED),
-    **dict.fromkeys(("ext", "hat", "est", "estimated", "estimate", "external"), Origin.MODELLED),
-    **dict.fromkeys(("model", "modelled", "modeled", "computed", "calculated"), Origin.MODELLED),
-    **dict.fromkeys(("predicted", "pred"), Origin.MODELLED),
+    **dict.fromkeys((*MEASURED, "sensor", "sensed", "encoder"), Origin.MEASURED),
+    **dict.fromkeys(COMMANDED, Origin.COMMANDED),
+    **dict.fromkeys(MODELLED, Origin.MODELLED),
 }
 """Words that say it."""
 
 _QUANTITIES = {
-    **dict.fromkeys(("q", "pos", "position", "positions", "angle", "angles"), "position"),
-    **dict.fromkeys(("qd", "dq", "qdot", "vel", "velocity", "velocities", "speed"), "velocity"),
-    **dict.fromkeys(("tau", "torque", "torques", "effort", "efforts", "moment"), "effort"),
-    **dict.fromkeys(("current", "currents"), "current"),
+    **JOINT_QUANTITIES,
+    **{f"{word}s": quantity for word, quantity in JOINT_QUANTITIES.items()},
+    "velocities": "velocity",
+    "speed": "velocity",
+    "moment": "effort",
 }
 """Words of what a column holds."""
 
@@ -58,19 +59,6 @@ _NEUTRAL = frozenset(
 
 _SIDES = ("left", "right")
 """Of which arm a column is, where there are two."""
-
-_UNITS: dict[Words, tuple[tuple[str, ...], float]] = {
-    ("rad",): (("position", "velocity"), 1.0),
-    ("deg",): (("position", "velocity"), math.pi / 180),
-    ("degrees",): (("position", "velocity"), math.pi / 180),
-    ("rad", "s"): (("velocity",), 1.0),
-    ("deg", "s"): (("velocity",), math.pi / 180),
-    ("nm",): (("effort",), 1.0),
-    ("n", "m"): (("effort",), 1.0),
-    ("a",): (("current",), 1.0),
-    ("ma",): (("current",), 0.001),
-}
-"""Units at a name's end: of which quantities, and their size in rad, rad/s, N·m or A."""
 
 _MOST_JOINTS = 99
 """Of an arm."""
@@ -204,8 +192,8 @@ def _parsed(name: str) -> tuple[tuple[str, str, str, Origin, float], int] | None
     words = [*written[: at[0]], *filter(None, [match[1]]), *written[at[0] + 1 :]]
     stem = "_".join(words)
     lower = lowered(tuple(words))
-    count = next((n for n in (2, 1) if len(lower) > n and lower[-n:] in _UNITS), 0)
-    fitting, scale = _UNITS[lower[-count:]] if count else ((), 1.0)
+    count = next((n for n in (3, 2, 1) if len(lower) > n and lower[-n:] in JOINT_UNITS), 0)
+    fitting, scale = JOINT_UNITS[lower[-count:]] if count else ((), 1.0)
     lower = lower[: len(lower) - count]
     side = next((word for word in lower if word in _SIDES), "")
     meaning = _meaning([word for word in lower if word not in _SIDES])

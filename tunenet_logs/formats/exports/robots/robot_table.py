@@ -31,9 +31,9 @@ from tunenet_logs.formats.tables.failures import (
     unreadable,
 )
 from tunenet_logs.formats.tables.layout import MOST_COLUMNS
-from tunenet_logs.formats.tables.lines import SEPARATORS, SUFFIXES, cells_of, lines_of
+from tunenet_logs.formats.tables.lines import SEPARATORS, cells_of, lines_of
 from tunenet_logs.formats.tables.meaning import TimeColumn
-from tunenet_logs.formats.tables.numbers import Numbers
+from tunenet_logs.formats.tables.numbers import Numbers, Thousands
 
 _LOOK_LINES = 20
 """In which the names of the columns are looked for."""
@@ -44,7 +44,7 @@ _FEWEST_JOINTS = 2
 
 def is_robot_table(start: Start) -> bool:
     """Whether a file is a table that tells measured and commanded quantities of joints apart."""
-    return start.suffix in SUFFIXES and _header(start.lines) is not None
+    return _header(start.lines) is not None
 
 
 def read_robot_table(path: Path, options: ReadOptions) -> Episode:
@@ -106,10 +106,11 @@ class _Rows:
         self._separator = separator
         clocks = [plan.clock, plan.impacts, *(signal.clock for signal in plan.signals)]
         texts = {at for clock in clocks if clock is not None for at in clock.indices}
-        texts.update(at for at in (plan.run,) if at is not None)
+        texts.update(at for at, _ in plan.runs)
         self._numbers = {at: array("d") for at in plan.needed if at not in texts}
         self._texts: dict[int, list[str]] = {at: [] for at in texts}
         self._failures = Failures()
+        self._thousands = Thousands({*self._numbers, *self._texts})
         self._count = 0
 
     def read(self, path: Path, lines: Iterator[tuple[int, str | None]]) -> None:
@@ -148,6 +149,7 @@ class _Rows:
         return cells
 
     def _add(self, cells: Sequence[str], reading: Numbers) -> None:
+        self._thousands.look(cells)
         values: dict[int, float] = {}
         for at in self._numbers:
             try:
@@ -170,6 +172,8 @@ class _Rows:
             raise LogError(f"{path}: {self._failures.nothing(self._count)}")
         if why := self._failures.refusal(self._count):
             raise LogError(f"{path}: {why}")
+        if why := self._thousands.doubt(self.plan.names):
+            raise LogError(f"{path}: {why}", NUMBER_REMEDY)
         if self._failures:
             self.lost.append(self._failures.lost(self._count))
         found: dict[int, NDArray[Any]] = {

@@ -69,7 +69,7 @@ class ImpactTimes:
         notes: list[str] = []
         for number, times in enumerate(self.runs, 1):
             name = f"{sheet}{NAME}" + (f" {number}" if len(self.runs) > 1 else "")
-            _, stamps, repairs = sorted_stamps(time_stamps(times))
+            _, stamps, repairs, _ = sorted_stamps(time_stamps(times))
             signals.append(Signal(name, stamps, np.ones((len(stamps), 1)), ("impact",), "1"))
             notes += [f"{name}: {repair}" for repair in repairs]
         return signals, notes

@@ -16,7 +16,7 @@ from tunenet_logs.formats.csv_table import read_csv
 from tunenet_logs.formats.exports.start import Start, start_of
 from tunenet_logs.formats.read_options import ReadOptions
 from tunenet_logs.formats.tables.column_names import meaning_of
-from tunenet_logs.formats.tables.lines import SEPARATORS, SUFFIXES, cells_of
+from tunenet_logs.formats.tables.lines import SEPARATORS, cells_of
 from tunenet_logs.formats.tables.meaning import CoordinateColumn, JointColumn, TimeColumn
 from tunenet_logs.formats.tables.offers import short_list
 from tunenet_logs.formats.tables.run_names import without_run
@@ -30,7 +30,7 @@ _MOST_COLUMNS = 200
 
 def is_sensor_runs(start: Start) -> bool:
     """Whether a file is one: a table that names the run of a time."""
-    return start.suffix in SUFFIXES and bool(_names(start))
+    return bool(_names(start))
 
 
 def read_sensor_runs(path: Path, options: ReadOptions) -> Episode:

@@ -168,8 +168,10 @@ def _archive(path: str) -> Iterator[tuple[str, Iterator[str]]]:
 
 def _lines(archive: zipfile.ZipFile, part: zipfile.ZipInfo) -> Iterator[str]:
     with archive.open(part) as packed:
-        start = packed.read(2)
-    encoding = "utf-16" if start in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
+        start = packed.read(65_536)
+    encoding = "utf-16" if start[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
+    if not start.isascii() and start.decode(encoding, "ignore").isascii():
+        encoding = "cp1252"
     with archive.open(part) as packed:
         text = io.TextIOWrapper(packed, encoding, errors="replace")
         while line := text.readline(1024**2):
