@@ -214,7 +214,8 @@ def test_a_hostile_model_is_refused_in_one_line(folder: Path, case: str):
     assert len(said.replace(str(folder), "")) < 600
     assert caught.value.remedy or ";" in said
     assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 12
-    assert after.ru_maxrss <= max(before.ru_maxrss, 0.6 * 1024**2)  # of any child so far
+    own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss  # which a child has until it runs
+    assert after.ru_maxrss <= max(before.ru_maxrss, own, 0.6 * 1024**2)
 
 
 @pytest.mark.parametrize(
