@@ -224,3 +224,13 @@ def test_pictures_that_overtook_each_other_are_sorted(tmp_path: Path, filmed_log
     assert [one.data for one in found.frames()] == [one.data for one in frames]
     assert any("pictures out of order were sorted" in line for line in found.warnings)
     assert not any(found.channels[0].left_out.values())
+
+
+def test_a_table_whose_times_begin_again_says_so(tmp_path: Path):
+    """Runs below each other look like a clock that was set back before the first row."""
+    path = tmp_path / "again.csv"
+    times_s = [*np.arange(50) * 0.01 + 3, *np.arange(80) * 0.01]
+    path.write_text("t,z_m\n" + "".join(f"{t:.2f},{1 - t / 9:.5f}\n" for t in times_s))
+    episode = read_episode(path)
+    assert sorted(episode.signals) == ["track.run1", "track.run2"]
+    assert any("begin again 1 times" in one for one in episode.warnings)

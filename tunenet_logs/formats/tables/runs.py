@@ -157,6 +157,20 @@ def rows_of_runs(
     return [(f"run{number}", slice(start, end)) for number, (start, end) in pairs]
 
 
+def restarts_note(parts: Sequence[tuple[str, Rows]]) -> list[str]:
+    """Say that times begin again without a column that numbers runs: a clock may have been set.
+
+    Args:
+        parts: see `rows_of_runs`.
+    """
+    if len(parts) < 2 or isinstance(parts[0][1], np.ndarray):
+        return []
+    return [
+        f"its times begin again {len(parts) - 1} times: runs, or a clock that was set back; each "
+        "is a signal by itself; see --topic"
+    ]
+
+
 def check_one_thing(times_ns: NDArray[np.int64], values: NDArray[np.float64]) -> None:
     """Raise where several rows of one stamp are several things, or stamps are cut short.
 

@@ -14,7 +14,7 @@ from tunenet_logs.formats.read_options import ReadOptions
 from tunenet_logs.formats.tables.failures import NUMBER_REMEDY, unreadable
 from tunenet_logs.formats.tables.group import Group
 from tunenet_logs.formats.tables.numbers import Numbers
-from tunenet_logs.formats.tables.runs import check_one_thing, rows_of_runs
+from tunenet_logs.formats.tables.runs import check_one_thing, restarts_note, rows_of_runs
 from tunenet_logs.left_out import INCOMPLETE, added, in_proportion
 from tunenet_logs.sample_order import order_samples
 
@@ -96,8 +96,9 @@ class SignalSamples:
         runs = np.frombuffer(self._runs, np.int64)
         signals: list[Signal] = []
         channels: list[Channel] = []
-        notes: list[str] = []
-        for run, rows in rows_of_runs(arrivals, runs, run_names):
+        parts = rows_of_runs(arrivals, runs, run_names)
+        notes = [f"{self.group.name}: {note}" for note in restarts_note(parts)]
+        for run, rows in parts:
             name = self.group.name_of_run(run) if run else self.group.name
             own, of_run = arrivals[rows], stamps[rows]
             check_one_thing(own, values[rows])

@@ -17,7 +17,7 @@ from tunenet_logs.formats.exports.arrays.column_times import column_stamps
 from tunenet_logs.formats.exports.build import export_episode, frame_stamps, position_signal
 from tunenet_logs.formats.read_options import ReadOptions
 from tunenet_logs.formats.tables.group import name_of_run
-from tunenet_logs.formats.tables.runs import RunNames, check_one_thing, rows_of_runs
+from tunenet_logs.formats.tables.runs import RunNames, check_one_thing, restarts_note, rows_of_runs
 from tunenet_logs.formats.tables.times import Clock
 from tunenet_logs.left_out import UNREADABLE, added
 from tunenet_logs.sample_order import sorted_stamps
@@ -184,7 +184,7 @@ class _Reading:
             parts = rows_of_runs(self._times.stamps_ns[rows], numbers, found.names)
         except ValueError as error:
             raise LogError(f"{self._path}: {error}") from error
-        self.notes += [found.note] if len(parts) > 1 and found.note else []
+        self.notes += [found.note] if len(parts) > 1 and found.note else restarts_note(parts)
         return [(name, rows[of_run]) for name, of_run in parts]
 
     def signal(
