@@ -6,11 +6,14 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import CodeType, FrameType
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from tunenet_logs.starting import WORDS, end_at_once
+
+if TYPE_CHECKING:
+    import subprocess
 
 _AGAIN_S, _CALLED_AGAIN_S = 0.02, 0.001
 """Until a signal that came at a bad moment is tried again; and in what a library calls, which is to
@@ -20,6 +23,16 @@ _called_by_c: set[CodeType] = set()
 """Functions that libraries call, which would print what is raised there, and go on."""
 
 F = TypeVar("F", bound=Callable[..., Any])
+
+
+def end_child(child: subprocess.Popen[bytes]) -> None:
+    """End a process of ours, and what it hears and says."""
+    child.kill()
+    for stream in (child.stdin, child.stdout):
+        if stream is not None:
+            with suppress(OSError):
+                stream.close()
+    child.wait()
 
 
 def called_by_c(function: F) -> F:

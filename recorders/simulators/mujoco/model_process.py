@@ -29,7 +29,7 @@ from recorders.simulators.mujoco.model_child import (
 )
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import LogError, UsageError
-from tunenet_logs.stopping import signals_held
+from tunenet_logs.stopping import end_child, signals_held
 from tunenet_logs.terminal import one_line, short_name
 
 _CHILD = Path(__file__).with_name("model_child.py")
@@ -198,12 +198,7 @@ class ModelProcess:
 
 
 def _end(child: subprocess.Popen[bytes], folder: TemporaryDirectory[str]) -> None:
-    child.kill()
-    for stream in (child.stdin, child.stdout):
-        if stream is not None:
-            with suppress(OSError):
-                stream.close()
-    child.wait()
+    end_child(child)
     folder.cleanup()
 
 

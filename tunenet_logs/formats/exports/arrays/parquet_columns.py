@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tunenet_logs.errors import LogError
+from tunenet_logs.stopping import end_child
 
 _CHILD = Path(__file__).with_name("parquet_child.py")
 
@@ -96,12 +97,7 @@ def _child(path: Path, *words: str) -> Iterator[tuple[IO[bytes], IO[bytes]]]:
         yield child.stdin, child.stdout
     finally:
         timer.cancel()
-        child.kill()
-        for stream in (child.stdin, child.stdout):
-            if stream is not None:
-                with suppress(OSError):
-                    stream.close()
-        child.wait()
+        end_child(child)
 
 
 def _served(
